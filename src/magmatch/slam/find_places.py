@@ -48,12 +48,12 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
         return Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given))
     tell("learning how the field changes")
-    numbers, length = shared_numbers(given)
+    numbers, length, measured = shared_numbers(given)
     biases = [sensor_bias(survey, numbers, config) for survey in given]
     paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
     n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
     log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
-    maker = BaseMaker(numbers, guessed_noise(numbers, length), length, config)
+    maker = BaseMaker(numbers, measured, guessed_noise(numbers, length), length, config)
     return Places(paths, odometry_graph(paths, config), config, maker, biases)
 
 

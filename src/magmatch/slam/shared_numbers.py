@@ -17,7 +17,7 @@ from magmatch.registration.prepared.cubes import even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
 from magmatch.registration.prepared.prepared_map import correlation_length_of
-from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
+from magmatch.slam.roughness import squared_gradient
 
 # Parts looked at, their length in lengthscales and most samples of each.
 N_PARTS = 8
@@ -30,8 +30,11 @@ MOST_CUTS = 4
 TUBE_LENGTH, N_POINTS, SILENT = 6.0, 20, 1e5
 
 
-def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
-    """Median numbers of short parts with an amplitude that holds for all, and their median correlation length (m)."""
+def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float, float]:
+    """Median numbers of short parts with an amplitude that holds for all, and their median correlation length (m).
+
+    The third is the mean squared gradient of all paths, noise included (`squared_gradient`).
+    """
     found: list[Hyperparameters] = []
     lengths = []
     n_parts = max(N_PARTS // len(surveys), 2)
@@ -53,27 +56,21 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float]:
     # Nothing shorter than two steps between samples can be seen: of a robot that stands, jitter.
     steps = np.concatenate([np.linalg.norm(np.diff(s.positions, axis=0), axis=1) for s in surveys])
     length = max(float(np.median(lengths)), 2 * float(np.median(steps)))
-    return as_rough_as_measured(replace(found[0], **medians), surveys, length), length
+    numbers = replace(found[0], **medians)
+    return as_rough_as_measured(numbers, surveys, length), length, squared_gradient(surveys, length)
 
 
 def as_rough_as_measured(numbers: Hyperparameters, surveys: Sequence[Survey], length: float) -> Hyperparameters:
-    """Numbers whose prior expects the gradient that is measured along the paths.
+    """Numbers whose prior expects the squared gradient that is measured along the paths.
 
     The evidence of short parts takes neighbouring samples as correlated, and so finds an amplitude too small for what
     lies beside a path, where only the prior speaks: bases would be too sure of it by several times.
     """
-    change2 = step2 = 0.0
-    for survey in surveys:
-        rows = bin_along_path(np.ascontiguousarray(survey.positions), BIN_LENGTH * length)
-        x, b, n = bin_means(survey.positions, rows), bin_means(survey.field, rows), np.bincount(rows)
-        # Bins next but one, without what the noise changes between them.
-        noise2 = numbers.noise_sd**2 * (1 / n[2:] + 1 / n[:-2])
-        change2 += float((((b[2:] - b[:-2]) ** 2).mean(axis=1) - noise2).sum())
-        step2 += float(((x[2:] - x[:-2]) ** 2).sum())
-    if change2 <= 0 or step2 <= 0:
+    measured = squared_gradient(surveys, length, numbers.noise_sd)
+    if measured <= 0:
         return numbers
     expected = float(np.median([_expected_square(survey, numbers, TUBE_LENGTH * length) for survey in surveys]))
-    return replace(numbers, prior_scale=numbers.prior_scale * float(np.sqrt(change2 / step2 / expected)))
+    return replace(numbers, prior_scale=numbers.prior_scale * float(np.sqrt(measured / expected)))
 
 
 def _expected_square(survey: Survey, numbers: Hyperparameters, length: float) -> float:

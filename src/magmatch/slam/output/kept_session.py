@@ -26,7 +26,7 @@ from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 
-SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/5", "session of slam"
+SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/6", "session of slam"
 MAX_BYTES = 256 * 1024**2
 
 
@@ -41,7 +41,8 @@ def write_session(session: Session, path: Path) -> None:
         "config": maker.config.model_dump(mode="json"),
         "inputs": [describe_input(s)["sha256"] for s in session.given],
         "seconds": session.seconds, "numbers": asdict(maker.numbers), "noise": asdict(maker.noise),
-        "length": maker.length, "biases": [[b, sd] for b, sd in places.biases],
+        "squared_gradient": maker.squared_gradient, "length": maker.length,
+        "biases": [[b, sd] for b, sd in places.biases],
         "anchors": [[a.log, a.t, a.position, a.sd, log] for a, log in places.anchors],
         "closures": graph.closures, "submap_factors": graph.submap_factors,
         "R": graph.R, "p": graph.p, "level": graph.level, "lasting": graph.lasting,
@@ -86,7 +87,7 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph.closures = [_closure(c) for c in content["closures"]]
     graph.submap_factors = tuple(_submap_factor(f) for f in content["submap_factors"])
     numbers, noise = Hyperparameters(**content["numbers"]), PathNoise(**content["noise"])
-    maker = BaseMaker(numbers, noise, content["length"], config)
+    maker = BaseMaker(numbers, content["squared_gradient"], noise, content["length"], config)
     anchors = [(Anchor(name, t, np.array(x), sd), log) for name, t, x, sd, log in content["anchors"]]
     if anchors:
         graph.fixed = fixed_points(anchors, paths)

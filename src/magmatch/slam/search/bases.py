@@ -22,6 +22,7 @@ from magmatch.registration.search.pair_search import PairSearchConfig, PairTable
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.roughness import as_rough_as_here
 from magmatch.slam.windows import Path
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Mask, Points
@@ -165,6 +166,7 @@ class BaseMaker:
     """Makes bases with given hyperparameters, which all logs of a place share, and keeps those used last."""
 
     numbers: Hyperparameters
+    squared_gradient: float  # (T/m)^2: the mean along all paths that the numbers are of
     noise: PathNoise
     length: float  # m: over which the field changes
     config: SlamConfig
@@ -233,7 +235,10 @@ class BaseMaker:
         return [one for _, one, _ in found], float(sum(volume for *_, volume in found))
 
     def joint(self, survey: Survey, node: Indices, n_averaged: float) -> BaseTask:
-        """What makes one map of samples of several passes, each a mean of so many, for poses that are given."""
+        """What makes one map of samples of several passes, each a mean of so many, for poses that are given.
+
+        They measure what lies between them, of which a stretch has its prior alone.
+        """
         numbers = replace(self.numbers, noise_sd=self.numbers.noise_sd / float(np.sqrt(n_averaged)))
         return BaseTask(survey, node, numbers, self.noise, self.length, None)
 
@@ -249,4 +254,5 @@ class BaseMaker:
     def _task_of(self, survey: Survey, node: Indices) -> BaseTask:
         # Whatever else is known of them would be sent in vain.
         survey = replace(survey, times=None, orientations=None)
-        return BaseTask(survey, node, self.numbers, self.noise, self.length, self.config.search)
+        numbers = as_rough_as_here(self.numbers, self.squared_gradient, survey, self.length)
+        return BaseTask(survey, node, numbers, self.noise, self.length, self.config.search)
