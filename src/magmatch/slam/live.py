@@ -93,6 +93,9 @@ class LiveLog:
         if path_walked(few[::2])[-1] <= 0.75 * path_walked(few)[-1]:
             self._next_try *= 2
             return False  # it stands
+        if _is_one_slope(survey):
+            self._next_try = round(self._next_try * LEAST_GROWTH)
+            return False
         require_survey(survey, name="log")
         with one_blas_thread():
             places = begin([survey], settled([survey], self.config))
@@ -167,3 +170,14 @@ class LiveLog:
             places.learn_drift()
             self._path = places.paths[-1]
             self._next_learning = 2 * len(places.graph.closures)
+
+
+def _is_one_slope(survey: Survey) -> bool:
+    """Whether the field has only risen or fallen so far, and its length cannot be seen.
+
+    Of a random walk each of n parts of the path holds 1 / n of its variance; of a slope, 1 / n^2.
+    """
+    walked = path_walked(survey.positions)
+    part = np.minimum((walked / walked[-1] * N_PARTS).astype(np.int64), N_PARTS - 1)
+    inside = sum(len(b) * b.var(axis=0).sum() for b in (survey.field[part == k] for k in np.unique(part)))
+    return bool(inside < len(survey) * survey.field.var(axis=0).sum() / N_PARTS)
