@@ -9,6 +9,8 @@ from magmatch.geometry import (
     exp_se3,
     is_one_pose,
     log_se3,
+    path_moved,
+    path_walked,
     perturbation,
     random_transform,
     rotate_tensors,
@@ -101,3 +103,13 @@ def _apart(T, other, center):
     """Shift of the centre and turn, by SciPy's products."""
     yield T.apply(center) - other.apply(center)
     yield (other.inv() * T).rotation.as_rotvec()
+
+
+def test_a_path_has_what_was_walked_alone_not_what_jitter_adds_where_somebody_stands():
+    rng = np.random.default_rng(0)
+    walk = np.linspace([0.0, 0, 0], [10.0, 0, 0], 1000) + 1e-4 * rng.standard_normal((1000, 3))
+    stood = walk[:1] + 1e-3 * rng.standard_normal((3000, 3))
+    assert path_moved(stood)[-1] == 0.0
+    np.testing.assert_array_equal(path_moved(walk), path_walked(walk))
+    both = path_moved(np.concatenate([stood, walk]))
+    assert abs(both[-1] - 10.0) < 0.5 < path_walked(np.concatenate([stood, walk]))[-1] - 12.0

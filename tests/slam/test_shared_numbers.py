@@ -13,6 +13,7 @@ from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import begin
+from magmatch.slam.shared_numbers import shared_numbers
 
 
 def log_ratios(walk: mm.Survey, field: Callable[[np.ndarray], np.ndarray], beside: float) -> list[float]:
@@ -62,3 +63,15 @@ def test_a_walk_that_stands_still_has_numbers():
     places = begin([mm.Survey(positions, field)], SlamConfig())
     assert places.maker is not None
     places.maker.numbers.check()
+
+
+def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
+    rng = np.random.default_rng(0)
+    path = np.linspace([-4.0, 0, 0], [4.0, 0, 0], 800)
+    stood = path[:1] + 1e-3 * rng.standard_normal((3000, 3))
+    both = np.concatenate([stood, path])
+    field = Place(0).field(both) + 2e-7 * rng.standard_normal(both.shape)
+    alone, length, _ = shared_numbers([mm.Survey(path, field[3000:])])
+    numbers, with_standing, _ = shared_numbers([mm.Survey(both, field)])
+    assert abs(np.log(with_standing / length)) < 0.2
+    assert abs(np.log(numbers.lengthscale / alone.lengthscale)) < 0.3

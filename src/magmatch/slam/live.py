@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.arguments import column_of, expect_transform, points_of
 from magmatch.data.checks import MAX_FIELD, require_survey, too_large
 from magmatch.data.survey import Survey
-from magmatch.geometry import path_walked
+from magmatch.geometry import path_moved
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
 from magmatch.slam.config import SlamConfig
@@ -20,7 +20,7 @@ from magmatch.slam.sensor_bias import without_bias
 from magmatch.slam.shared_numbers import N_PARTS
 from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Vector3
+from magmatch.typing import Scalars, Vector3, Vectors
 
 # Samples at which it is first tried to learn how the field changes, and their least growth until the next time.
 FIRST_SAMPLES, LEAST_GROWTH = 64, 1.25
@@ -88,12 +88,11 @@ class LiveLog:
         if len(self._t) < self._next_try:
             return False
         survey = self.survey()
-        # Jitter is half as far when every other sample is left out; a path nearly as far.
-        few = survey.positions[np.linspace(0, len(survey) - 1, FIRST_SAMPLES).astype(np.int64)]
-        if path_walked(few[::2])[-1] <= 0.75 * path_walked(few)[-1]:
+        walked = path_moved(survey.positions)
+        if walked[-1] == 0:
             self._next_try *= 2
             return False  # it stands
-        if _is_one_slope(survey):
+        if _is_one_slope(survey.field, walked):
             self._next_try = round(self._next_try * LEAST_GROWTH)
             return False
         require_survey(survey, name="log")
@@ -172,12 +171,11 @@ class LiveLog:
             self._next_learning = 2 * len(places.graph.closures)
 
 
-def _is_one_slope(survey: Survey) -> bool:
+def _is_one_slope(field: Vectors, walked: Scalars) -> bool:
     """Whether the field has only risen or fallen so far, and its length cannot be seen.
 
     Of a random walk each of n parts of the path holds 1 / n of its variance; of a slope, 1 / n^2.
     """
-    walked = path_walked(survey.positions)
     part = np.minimum((walked / walked[-1] * N_PARTS).astype(np.int64), N_PARTS - 1)
-    inside = sum(len(b) * b.var(axis=0).sum() for b in (survey.field[part == k] for k in np.unique(part)))
-    return bool(inside < len(survey) * survey.field.var(axis=0).sum() / N_PARTS)
+    inside = sum(len(b) * b.var(axis=0).sum() for b in (field[part == k] for k in np.unique(part)))
+    return bool(inside < len(field) * field.var(axis=0).sum() / N_PARTS)

@@ -12,7 +12,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.prior_choice.choose_hyperparameters import likely_numbers
 from magmatch.field.priors import PRIORS
-from magmatch.geometry import path_walked
+from magmatch.geometry import path_moved, path_walked
 from magmatch.registration.prepared.cubes import even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
@@ -37,9 +37,11 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float, f
     """
     found: list[Hyperparameters] = []
     lengths = []
-    n_parts = max(N_PARTS // len(surveys), 2)
-    for survey in surveys:
-        walked = path_walked(survey.positions)
+    # Who stands sees nothing of how the field changes; where all stand, their jitter is their path.
+    moved = [(survey, path) for survey in surveys if (path := path_moved(survey.positions))[-1] > 0]
+    moved = moved or [(survey, path_walked(survey.positions)) for survey in surveys]
+    n_parts = max(N_PARTS // len(moved), 2)
+    for survey, walked in moved:
         for middle in (np.arange(n_parts) + 0.5) / n_parts:
             # What the parts before showed is where the next begins: most fit at once.
             known = float(np.median([h.lengthscale for h in found])) if found else np.inf
