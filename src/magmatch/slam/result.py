@@ -104,6 +104,9 @@ class AnchorResult:
         As stated, per coordinate.
     off : (3,) floats, m
         From there to the log's corrected position.
+    off_without, sd_without : (3,) floats and float, m
+        From there to where odometry, closures and the other points have the log, and how well that is known, per
+        coordinate: far beyond it, the point is wrong.
     """
 
     log: str
@@ -111,6 +114,8 @@ class AnchorResult:
     position: Three[Number]
     sd: Length
     off: Three[Number]
+    off_without: Three[Number]
+    sd_without: Length
 
 
 class LogOdometry(TypedDict):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The session of slam and merge: logs and their graph."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -8,6 +9,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.special import chdtri
 
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind
@@ -28,6 +30,7 @@ from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.solve import most_contradicted
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.places import Places
@@ -38,6 +41,11 @@ from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Vector3
 from magmatch.workers import bit_for_bit
+
+log = logging.getLogger(__name__)
+
+# Squared residual of a fixed point that one right one in a thousand exceeds.
+SURPRISING = float(chdtri(3, 1e-3))
 
 
 @dataclass(eq=False)
@@ -128,6 +136,15 @@ class Session:
         self.config, self.given, self.places = config, given, places
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
         self._changed()
+        self._warn_of_a_wrong_point()
+
+    def _warn_of_a_wrong_point(self) -> None:
+        """Name the fixed point without which all else agrees best, where they contradict each other or the log."""
+        off, C = self.graph.off_fixed_without()
+        if np.max((off * np.linalg.solve(C, off[:, :, None])[:, :, 0]).sum(axis=1), initial=0.0) > SURPRISING:
+            k, far = most_contradicted(self.graph)
+            said = "%s lies %.2g m from where all else has the log: a wrong number, time or log?"
+            log.warning(said, self._now.anchors[k][0].source, far)
 
     def add_log(self, survey: Survey) -> None:
         """Add one more log, without redoing the earlier ones."""
@@ -271,8 +288,18 @@ class Session:
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             tuple(
-                AnchorResult(names[log], a.t, a.position.tolist(), a.sd, off.tolist())
-                for (a, log), off in zip(anchors, self.graph.off_fixed(), strict=True)
+                AnchorResult(
+                    names[log],
+                    a.t,
+                    a.position.tolist(),
+                    a.sd,
+                    off.tolist(),
+                    without.tolist(),
+                    float(np.sqrt(np.trace(C) / 3)),
+                )
+                for (a, log), off, without, C in zip(
+                    anchors, self.graph.off_fixed(), *self.graph.off_fixed_without(), strict=True
+                )
             ),
             Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, names),
             dict(self.seconds),

@@ -17,6 +17,7 @@ from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.run import slam
 from magmatch.slam.windows import cut
 
 LEVEL = SlamConfig(is_planar=True)
@@ -81,6 +82,29 @@ def test_points_that_lie_apart_tell_the_frame_and_correct_the_log():
     assert error < 0.5 * before  # in the surveyor's own frame: nothing was aligned
     assert graph.is_fixed(0)
     assert np.abs(graph.off_fixed()).max() < 0.06
+
+
+def test_what_all_else_says_of_a_point_is_what_the_graph_without_it_says():
+    rows = [5, 60, 110, 160, 205]
+    graph, paths = graph_of(rows)
+    off, covariance = graph.off_fixed_without()
+    for k, row in enumerate(rows):
+        without, _ = graph_of([other for other in rows if other != row])
+        without.fixed = fixed_points([(Anchor(LOG.name, float(LOG.times[row]), T.apply(TRUTH[row]), 0.02), 0)], paths)
+        sd = np.sqrt(np.trace(covariance[k]) / 3)
+        assert np.linalg.norm(off[k] - without.off_fixed()[0]) < 0.2 * sd + 0.01
+
+
+@pytest.mark.parametrize("at", [[5, 60, 110, 160, 205], [5, 60, 110]])
+def test_a_point_that_all_else_contradicts_is_named(caplog, at):
+    points = [Anchor("walk", float(LOG.times[k]), T.apply(TRUTH[k]), 0.05, f"points.csv, line {k}") for k in at]
+    points[1] = replace(points[1], position=points[1].position + np.array([5.0, 0, 0]))
+    session = slam(LOG, anchors=points)
+    (said,) = (record.getMessage() for record in caplog.records if "all else" in record.getMessage())
+    assert "line 60" in said
+    of = session.result().anchors[1]
+    # Its own residual, of a log that is drawn to it, does not show it.
+    assert np.linalg.norm(of.off) < 0.5 < 4.0 < np.linalg.norm(of.off_without)
 
 
 def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():

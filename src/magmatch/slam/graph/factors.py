@@ -57,6 +57,10 @@ class FixedPoints:
     position: Points  # (a, 3), m: where it is in the surveyor's frame, and how well that is known per axis
     sd: Scalars  # (a,), m
 
+    def only(self, rows: Indices) -> "FixedPoints":
+        """Some of them."""
+        return FixedPoints(*(getattr(self, f.name)[rows] for f in fields(self)))
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Closure:

@@ -180,6 +180,21 @@ class PoseGraph:
         """Residual of each fixed point: (a, 3), m."""
         return np.zeros((0, 3)) if self.fixed is None else self.seen_at_fixed()[0] - self.fixed.position
 
+    def off_fixed_without(self) -> tuple[Points, np.ndarray]:
+        """Residual that each fixed point has without it, (a, 3), m, and covariance of that, (a, 3, 3).
+
+        A stiff point draws the log to itself, so its own residual does not show that it is wrong. Of its covariance V
+        and that of where the graph has it, S, the others' part is ``S^-1 - V^-1``.
+        """
+        if self.fixed is None:
+            return np.zeros((0, 3)), np.zeros((0, 3, 3))
+        f, (seen, J), own = self.fixed, self.seen_at_fixed(), self.marginals()
+        between = self._selected().between(f.one, f.other)
+        C = np.block([[own[f.one], between], [np.swapaxes(between, 1, 2), own[f.other]]])
+        V = np.eye(3) * f.sd[:, None, None] ** 2
+        grows = V @ np.linalg.inv(V - J @ C @ np.swapaxes(J, 1, 2))
+        return np.einsum("aij,aj->ai", grows, seen - f.position), grows @ V
+
     def pose(self, k: int) -> RigidTransform:
         """Of a node in its component's frame."""
         return transform_of(self.R[k], self.p[k])

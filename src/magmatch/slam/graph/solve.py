@@ -53,6 +53,24 @@ def forget_closures(graph: PoseGraph) -> None:
     solve(graph)
 
 
+def most_contradicted(graph: PoseGraph) -> tuple[int, float]:
+    """The fixed point without which all else agrees best, and how far it lies from where that has the log, m.
+
+    A wrong one bends the log so far that those beside it look as wrong: each is left out in turn.
+    """
+    f = graph.fixed
+    assert f is not None
+    found = []
+    for k in range(len(f.sd)):
+        without = graph.copied()
+        without.fixed = f.only(np.delete(np.arange(len(f.sd)), k)) if len(f.sd) > 1 else None
+        solve(without)
+        chi2 = normal_equations(without)[2]
+        without.fixed = f
+        found.append((chi2, k, float(np.linalg.norm(without.off_fixed()[k]))))
+    return min(found)[1:]
+
+
 def _bring_to_fixed(graph: PoseGraph) -> None:
     """Move each connected group as a whole to its fixed points: least squares must start near the solution."""
     if graph.fixed is None:
