@@ -2,6 +2,7 @@
 """``magmatch slam`` and ``magmatch merge``: exit codes, what is left in the folder, and what is refused."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -90,6 +91,7 @@ def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path)
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "robot:1,2"], "name of a log"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--planar", "--no-gravity"], "--no-gravity"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--field-unit", "uT"], "uT"),
+        (["{logs}/walk.csv", "{logs}/short.csv", "--out", "{tmp}/out", "--trajectory", "p.tum"], "a single LOG"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--scheduler", "there"], "an address such as tcp://"),
     ],
 )
@@ -124,6 +126,15 @@ def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, place, 
     refused = run("slam", logs / "walk.csv", "--out", tmp_path / "out")
     assert refused.code == 2
     assert "other inputs" in refused.err
+
+
+def test_without_the_package_that_draws_all_but_the_report_is_written(run, place, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    done = run("merge", place / "base.csv", place / "target.csv", "--out", tmp_path / "out")
+    assert done.code in (0, 3)
+    assert "no report.html" in done.err
+    assert "viz" in done.err
+    assert {"base.csv", "graph.g2o", "result.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
 def test_merge_takes_two_at_least(run, place, tmp_path):

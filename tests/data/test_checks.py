@@ -106,6 +106,17 @@ def test_odd_survey_is_said_but_not_refused(name, room):
     assert re.search(words, warnings[0]), warnings
 
 
+def test_a_jump_of_the_odometry_is_said_and_a_gap_is_none():
+    angle = np.linspace(0, 6, 600)
+    path = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    walk = Survey(path, 3e-5 + 1e-6 * path, times=0.02 * np.arange(600))
+    after = (np.arange(600) >= 300)[:, None]
+    jumped = replace(walk, positions=path + 4.0 * after * [1, 0, 0])
+    assert [w for w in check_survey(jumped) if re.search(r"jumps by [34]\.\d+ m at 5\.98 s: cut the log there", w)]
+    paused = replace(jumped, times=walk.times + 60 * after[:, 0])
+    assert not [w for w in [*check_survey(walk), *check_survey(paused)] if "jump" in w]
+
+
 def test_a_sensor_that_always_reads_the_same_is_said(room):
     warnings = check_survey(replace(room, field=room.orientations.apply([2e-5, 0.0, 4e-5])))
     assert any("constant in the sensor's axes (varies less than 1 nT): nothing tells" in one for one in warnings)

@@ -155,6 +155,7 @@ def test_the_same_surveys_give_the_same_bits(surveys, session):
         (lambda s: [s], ValueError, "at least two"),
         (lambda s: s, TypeError, "takes several"),
         (lambda s: [s, "b.csv"], TypeError, r"surveys\[1\].*read_survey"),
+        (lambda s: [s, s], ValueError, "only once"),
         (lambda s: [s, replace(s, positions=np.zeros_like(s.positions))], ValueError, "one point"),
     ],
 )

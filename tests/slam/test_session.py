@@ -15,6 +15,7 @@ from magmatch.errors import DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
@@ -256,3 +257,23 @@ def test_samples_that_follow_no_path_are_refused_before_any_work():
     survey = mm.Survey(rng.uniform(0, 3, (1000, 3)), 1e-6 * rng.normal(size=(1000, 3)), name="room.csv")
     with pytest.raises(SurveyError, match=r"room\.csv: its samples follow no path.*merge"):
         mm.slam(survey)
+
+
+def test_what_is_no_log_is_refused_in_one_sentence(lone):
+    with pytest.raises(SurveyError, match="holds the same samples as walk"):
+        mm.slam([lone.log, lone.log])
+    with pytest.raises(SurveyError, match="wrong length unit"):
+        mm.slam(replace(lone.log, positions=1000 * lone.log.positions))
+
+
+def test_fixed_points_that_are_given_again_count_once(lone):
+    point = Anchor("walk", float(lone.log.times[100]), np.zeros(3), 0.1)
+    session = mm.slam(lone.log, anchors=[point])
+    session.add_logs([], anchors=[point])
+    assert len(session.places.anchors) == 1
+
+
+@pytest.mark.parametrize("sd", [(-1, 2), (np.nan, 2), (0.1, np.inf)])
+def test_drift_that_cannot_be_is_refused(sd):
+    with pytest.raises(ValueError, match=r"odometry\.sd"):
+        SlamConfig(odometry={"sd": sd})

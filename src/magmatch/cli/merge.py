@@ -10,7 +10,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of, read_survey_or_map
 from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_folder
-from magmatch.cli.sessions import deliver, require_pictures
+from magmatch.cli.sessions import deliver
 from magmatch.cli.settings import registration_config
 
 EXAMPLES = (
@@ -49,8 +49,9 @@ def merge(
 
     if len(surveys) < 2:
         refuse("SURVEY", "at least two surveys", str(surveys[0]))
+    if layouts.of().trajectory is not None and len(surveys) > 1:
+        refuse("--trajectory", "a single SURVEY, whose poses it holds", f"{len(surveys)}")
     check_folder(out)
-    require_pictures()
     settings = with_prior(registration_config("default", config), None, None, gravity_aligned, None, planar)
     read = [read_survey_or_map(path, layouts) for path in surveys]
     require_folder(out, [survey_of(one) for one in read], [*surveys, *([config] if config else [])])

@@ -17,11 +17,8 @@ if TYPE_CHECKING:
     from magmatch.slam.session import Session
 
 
-def require_pictures(rerun: Path | None = None) -> None:
-    """Require the packages that draw the report and the recording, before the work begins."""
-    from magmatch.viz.figures.plotting import require_plotly
-
-    require_plotly()
+def require_recording(rerun: Path | None) -> None:
+    """Require the package that writes the recording, before the work begins."""
     if rerun is not None:
         from magmatch.viz.viewers.rerun_recording import require_rerun
 
@@ -38,13 +35,19 @@ def deliver(
     rerun: Path | None = None,
 ) -> int:
     """Write the folder, print a summary, and give the exit code: whether all logs are in one frame."""
-    from magmatch.slam.output.folder import write_folder
+    from magmatch.errors import MissingExtraError
+    from magmatch.slam.output.folder import REPORT, write_folder
     from magmatch.viz.pages.session_page import write_session_report
 
     again = shlex.join(["magmatch", *words, "--config", "settings.yaml", "--out", str(out)])
-    result = write_folder(
-        session, out, lambda session, result, path: write_session_report(path, session, result, again), poses
-    )
+
+    def write_report(session: "Session", result: "SlamResult", path: Path) -> None:
+        try:
+            write_session_report(path, session, result, again)
+        except MissingExtraError as error:
+            say(f"warning: no {REPORT}: {error}")
+
+    result = write_folder(session, out, write_report, poses)
     if rerun is not None:
         from magmatch.viz.viewers.rerun_recording import write_session_rerun
 

@@ -12,7 +12,7 @@ from magmatch.cli.inputs import read_poses_of
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.processes import processes
-from magmatch.cli.sessions import deliver, require_pictures
+from magmatch.cli.sessions import deliver, require_recording
 from magmatch.cli.settings import merged
 from magmatch.cli.walks import read_walk
 
@@ -93,9 +93,11 @@ def slam(
     switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):
         refuse("--continue", "the settings of the session that it continues", "others")
+    if layouts.of().trajectory is not None and len(logs) > 1:
+        refuse("--trajectory", "a single LOG, whose poses it holds", f"{len(logs)}")
     check_folder(out)
     check_outputs([rerun], logs)
-    require_pictures(rerun)
+    require_recording(rerun)
     settings = merged(SlamConfig(), config).model_copy(update=switches)
     settings = with_odometry_sd(settings, odometry_sd or [], logs)
     with processes(jobs, scheduler, ahead=2) as run:
@@ -105,7 +107,8 @@ def slam(
             sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
             settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
         fixed = [] if anchors is None else read_anchors(anchors)
-        require_folder(out, surveys, [path for path in (*logs, config, anchors) if path], may_be_more=is_more)
+        files = [path for path in (*logs, config, anchors) if path]
+        require_folder(out, surveys, files, may_be_more=is_more, to_add="add the others with --continue, ")
         poses = [read_poses_of(path, layouts) for path in logs]
         session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
         session.add_logs(new, fixed, run=run, keep=unfinished(out))

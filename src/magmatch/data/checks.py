@@ -31,6 +31,7 @@ MAX_FIELD = 0.1
 MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
 ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
 ODD_SPEED = 50.0  # m/s, median along the samples
+JUMP = 100.0  # median steps: one that is longer, and faster than that, is no step
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
 SINCE_1970 = (9e8, 4.5e9)  # s; the years 1998 to 2112
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
@@ -58,6 +59,7 @@ def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str
         *map(str, diagnose(survey, layout.field_unit)),
         *_doubt_field(survey),
         *_doubt_extent(survey, layout.length_unit),
+        *_doubt_jumps(survey),
         *_doubt_shape(survey),
         *_doubt_repeats(survey),
         *_doubt_times(survey, layout.time_unit),
@@ -170,12 +172,33 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
         yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
     elif size > ODD_EXTENT[1]:
         yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"
-    if survey.times is not None:
-        steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
-        with np.errstate(over="ignore"):  # absurd times make it infinite, and odd
-            speed = float(np.median(steps / np.diff(survey.times)))
-        if speed > ODD_SPEED:
-            yield f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
+    if words := odd_speed(survey):
+        yield words
+
+
+def odd_speed(survey: Survey) -> str:
+    """In words: that a log moves faster than whoever carries a magnetometer; nothing otherwise."""
+    if survey.times is None or (speed := float(np.median(_speeds(survey)))) <= ODD_SPEED:
+        return ""
+    return f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
+
+
+def _doubt_jumps(survey: Survey) -> Iterator[str]:
+    if survey.times is None or odd_speed(survey):
+        return
+    steps, speeds = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1), _speeds(survey)
+    jumps = np.flatnonzero((speeds > ODD_SPEED) & (steps > JUMP * np.median(steps[steps > 0])))
+    if len(jumps):
+        k = jumps[steps[jumps].argmax()]
+        more = f", and {len(jumps) - 1} more" if len(jumps) > 1 else ""
+        yield f"the position jumps by {steps[k]:.3g} m at {survey.times[k]:.9g} s{more}: cut the log there"
+
+
+def _speeds(survey: Survey) -> Scalars:
+    steps, times = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1), survey.times
+    assert times is not None
+    with np.errstate(over="ignore"):  # absurd times make it infinite, and odd
+        return np.asarray(steps / np.diff(times))
 
 
 def _doubt_shape(survey: Survey) -> Iterator[str]:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of slam and merge."""
 
+from typing import Annotated
+
 import numpy as np
 from pydantic import Field
 
@@ -10,12 +12,14 @@ from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 from magmatch.typing import Indices
 
+# Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
+Drift = tuple[Annotated[float, Field(ge=0, allow_inf_nan=False)], Annotated[float, Field(ge=0, allow_inf_nan=False)]]
+
 
 class OdometryConfig(Settings):
     """How odometry drifts: a random walk of position and heading, and two constant errors."""
 
-    # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
-    sd: tuple[float, float] = (0.3, 4.0)
+    sd: Drift = (0.3, 4.0)
     # Lasting errors: of the length of each step, as a share; and of the turn rate, as a share of the random turn over
     # 10 m: good odometry is good in both.
     scale_sd: float = Field(default=0.05, ge=0)
@@ -42,7 +46,7 @@ class SlamConfig(Settings):
 
     odometry: OdometryConfig = Field(default_factory=OdometryConfig)
     # Standard deviations of single logs, by name, where they differ from `odometry.sd`.
-    sd_of_logs: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    sd_of_logs: dict[str, Drift] = Field(default_factory=dict)
     # Whether z is up in the odometry's frames, and whether all poses lie at one height too.
     is_gravity_aligned: bool = True
     is_planar: bool = False

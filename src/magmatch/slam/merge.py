@@ -25,7 +25,7 @@ from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
-from magmatch.slam.session import Session
+from magmatch.slam.session import Session, require_distinct
 from magmatch.slam.statement import covariance_about
 from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread
@@ -71,6 +71,7 @@ def merge(
     if config.search == "keypoints":
         msg = "merge: the published method states no covariance, which the graph needs; take another preset"
         raise ConfigurationError(msg)
+    require_distinct([survey_of(survey) for survey in given])
     clock = Clock()
     with one_blas_thread():
         with clock("maps"):

@@ -13,7 +13,7 @@ from scipy.special import chdtri
 
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind
-from magmatch.data.checks import require_survey
+from magmatch.data.checks import odd_speed, require_survey
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
@@ -113,9 +113,16 @@ class Session:
                 who = survey.name or "log"
                 msg = f"{who}: its samples follow no path, expected a walk by odometry; for rigid surveys use merge"
                 raise SurveyError(msg)
+            if words := odd_speed(survey):
+                msg = f"{survey.name or 'log'}: {words}"
+                raise SurveyError(msg)
         given = [*self.given, *logs]
+        require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
-        fixed = of_logs(listed, given, names_of(given))
+        # Those of before may be given again.
+        known = set() if earlier is None else {(of, a.t, *a.position, a.sd) for a, of in earlier.anchors}
+        passed = of_logs(listed, given, names_of(given))
+        fixed = [(a, of) for a, of in passed if (of, a.t, *a.position, a.sd) not in known]
         if earlier is None or earlier.maker is None:
             config = settled(given, config)
         steps = Steps(
@@ -361,6 +368,17 @@ class Session:
 def _place_and_turn(C: Covariance6) -> tuple[float, float]:
     place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
     return place, turn
+
+
+def require_distinct(surveys: Sequence[Survey]) -> None:
+    """Refuse samples that are given twice: they would agree with themselves."""
+    known: dict[str, str] = {}
+    for survey in surveys:
+        sha, name = describe_input(survey)["sha256"], survey.name or "a survey"
+        if sha in known:
+            msg = f"{name}: holds the same samples as {known[sha]}, expected each only once"
+            raise SurveyError(msg)
+        known[sha] = name
 
 
 def names_of(surveys: Sequence[Survey]) -> list[str]:

@@ -30,11 +30,17 @@ def unfinished(folder: str | Path) -> Path:
 
 
 def require_folder(
-    folder: str | Path, surveys: Sequence[Survey], files: Iterable[str | Path] = (), *, may_be_more: bool = False
+    folder: str | Path,
+    surveys: Sequence[Survey],
+    files: Iterable[str | Path] = (),
+    *,
+    may_be_more: bool = False,
+    to_add: str = "",
 ) -> None:
     """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
 
-    ``files`` are those of the surveys and whatever else is read; ``may_be_more``: some surveys may be new.
+    ``files`` are those of the surveys and whatever else is read; ``may_be_more``: some surveys may be new;
+    ``to_add``: what would add them, for the message.
     """
     folder = Path(folder)
     if not folder.exists():
@@ -52,7 +58,7 @@ def require_folder(
     earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
     given = {describe_input(s)["sha256"] for s in surveys}
     if earlier < given and not may_be_more:
-        raise DataFormatError(folder, f"holds a result of fewer inputs; add the others with --continue, {advice}")
+        raise DataFormatError(folder, f"holds a result of fewer inputs; {to_add}{advice}")
     if not earlier <= given:
         raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
 
@@ -134,7 +140,7 @@ def _move(beside: Path, folder: Path) -> None:
         beside.replace(folder.resolve())
         return
     earlier = SlamResult.load(folder / RESULT)
-    stale = {SESSION} | {f"{log.name}{ending}" for log in earlier.logs for ending in (".csv", ".tum")}
+    stale = {SESSION, REPORT} | {f"{log.name}{ending}" for log in earlier.logs for ending in (".csv", ".tum")}
     stale |= {f"map_{log.component + 1}.map" for log in earlier.logs}
     new = {path.name for path in beside.iterdir()}
     for name in sorted(stale - new):
