@@ -18,11 +18,11 @@ def write_graph(graph: PoseGraph, path: str | Path) -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
     The information of a closure is multiplied by how much of it would count without submaps, which have no form in
-    g2o. Unconnected logs share no frame, but their vertices are in the same file. Fixed points are vertices after
+    g2o; it is of (translation, quaternion's vector part) of ``Z^-1 T_true``. Unconnected logs share no frame, but their vertices are in the same file. Fixed points are vertices after
     the nodes.
     """
-    lines = ["# magmatch: information of (translation, quaternion's vector part) of Z^-1 T_true"]
-    lines += [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]
+    # No comment: Ceres' reader takes none.
+    lines = [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]
     for k in graph.edges.first.tolist():
         # Odometry keeps its axes from node to node: errors in the first's are errors in the second's.
         lines.append(g2o_edge(k, k + 1, *graph.odometry(k)))
