@@ -24,7 +24,7 @@ from magmatch.cli.main import main
 steps.KEEP_EVERY_S = -1.0
 sys.exit(main(sys.argv[1:]))
 """
-RESULTS = ("walk.csv", "walk.tum", "graph.g2o")
+RESULTS = ("walk.csv", "walk.tum", "graph.g2o", "covariances.csv")
 
 
 def start(*words):

@@ -139,7 +139,7 @@ def test_the_adjoint_carries_a_tangent_to_another_frame():
 def test_the_folder_holds_what_the_contract_says(folder, three):
     names = {path.name for path in folder.iterdir()}
     assert names == {f"{n}.{e}" for n in "abc" for e in ("csv", "tum")} | {
-        "map.map", "map_2.map", "graph.g2o", "result.json", "session.json",
+        "map.map", "map_2.map", "graph.g2o", "covariances.csv", "result.json", "session.json",
     }  # fmt: skip
     for name, survey, truth in zip("abc", three.session.trajectories, three.truth, strict=True):
         poses, there = mm.Trajectory.load(folder / f"{name}.tum"), read_survey(folder / f"{name}.csv")
@@ -277,3 +277,21 @@ def test_fixed_points_that_are_given_again_count_once(lone):
 def test_drift_that_cannot_be_is_refused(sd):
     with pytest.raises(ValueError, match=r"odometry\.sd"):
         SlamConfig(odometry={"sd": sd})
+
+
+def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):
+    write_folder(lone.session, tmp_path / "out")
+    header, *rows = (tmp_path / "out" / "covariances.csv").read_text().splitlines()
+    cells = [dict(zip(header.split(","), row.split(","), strict=True)) for row in rows]
+    (path,), (after,) = lone.session.paths, lone.session.trajectories
+    assert len(cells) == len(path.windows)
+    sds = lone.session.standard_deviations(path.nodes)
+    for cell, middle, (place, turn) in zip(cells, path.middles, sds, strict=True):
+        assert float(cell["t"]) == pytest.approx(after.times[middle])
+        np.testing.assert_allclose([float(cell[k]) for k in "xyz"], after.positions[middle], atol=1e-6)
+        q = Rotation.from_quat([float(cell[f"q{k}"]) for k in "xyzw"])
+        assert (q.inv() * after.orientations[middle]).magnitude() < 1e-6
+        variances = [float(cell[f"c{k}{k}"]) for k in range(6)]
+        np.testing.assert_allclose(
+            np.sqrt([sum(variances[3:]), sum(variances[:3])]), [place, turn], rtol=1e-6, atol=1e-9
+        )

@@ -19,7 +19,7 @@ def state_closure(
 ) -> ClosureResult:
     """A closure between nodes as one between bodies; between rigid surveys, as one between their frames."""
     sides = [(int(graph.log[node]), node) for node in (closure.first, closure.second)]
-    (T_a, t_a, walked_a), (T_b, t_b, walked_b) = (_body(paths[log], node, is_rigid=is_rigid) for log, node in sides)
+    (T_a, t_a, walked_a), (T_b, t_b, walked_b) = (body_at(paths[log], node, is_rigid=is_rigid) for log, node in sides)
     M = adjoint(T_b.inv())
     return ClosureResult(
         names[sides[0][0]],
@@ -35,7 +35,7 @@ def state_closure(
     )
 
 
-def _body(path: Path, node: int, *, is_rigid: bool) -> tuple[RigidTransform, float | None, float]:
+def body_at(path: Path, node: int, *, is_rigid: bool) -> tuple[RigidTransform, float | None, float]:
     """Body in the axes of a node, when it was there, and how far it had walked; of a rigid survey, its frame."""
     window = node - path.first_node
     if is_rigid:

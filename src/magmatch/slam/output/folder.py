@@ -13,12 +13,14 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.registration.clock import Clock
 from magmatch.slam.graph.trajectories import corrected_poses
+from magmatch.slam.output.covariances import write_covariances
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.output.kept_session import SESSION, write_session
 from magmatch.slam.result import SlamResult
 from magmatch.slam.session import Session
 
 RESULT, GRAPH, REPORT = "result.json", "graph.g2o", "report.html"
+COVARIANCES = "covariances.csv"
 # Writes the report, given what it is of and where it goes.
 WriteReport = Callable[[Session, SlamResult, Path], None]
 
@@ -122,6 +124,7 @@ def _write(
         for k in range(len(session.components)):
             session.map(k).save(folder / ("map.map" if k == 0 else f"map_{k + 1}.map"))
     write_graph(session.graph, folder / GRAPH)
+    write_covariances(session, folder / COVARIANCES)
     write_session(session, folder / SESSION)
     seconds = session.seconds
     result = session.result()

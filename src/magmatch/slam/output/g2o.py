@@ -17,9 +17,9 @@ from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
 def write_graph(graph: PoseGraph, path: str | Path) -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
-    The information of a closure is multiplied by how much of it would count without submaps, which have no form in
-    g2o; it is of (translation, quaternion's vector part) of ``Z^-1 T_true``. Unconnected logs share no frame, but their vertices are in the same file. Fixed points are vertices after
-    the nodes.
+    Information is of (translation, quaternion's vector part) of ``Z^-1 T_true``; that of a closure is multiplied by
+    how much of it would count without submaps, which have no form in g2o. Unconnected logs share no frame, but their
+    vertices are in the same file. Fixed points are vertices after the nodes.
     """
     # No comment: Ceres' reader takes none.
     lines = [g2o_vertex(k, graph.pose(k)) for k in range(len(graph.p))]
