@@ -112,7 +112,7 @@ def test_a_jump_of_the_odometry_is_said_and_a_gap_is_none():
     walk = Survey(path, 3e-5 + 1e-6 * path, times=0.02 * np.arange(600))
     after = (np.arange(600) >= 300)[:, None]
     jumped = replace(walk, positions=path + 4.0 * after * [1, 0, 0])
-    assert [w for w in check_survey(jumped) if "jumps by 4 m at 5.98 s: cut the log there" in w]
+    assert [w for w in check_survey(jumped) if "jumps by 4 m at 5.98 s: odometry that lost itself" in w]
     paused = replace(jumped, times=walk.times + 60 * after[:, 0])
     assert not [w for w in [*check_survey(walk), *check_survey(paused)] if "jump" in w]
 

@@ -19,7 +19,7 @@ from magmatch.data.units import (
     likely_field_unit,
 )
 from magmatch.errors import SurveyError
-from magmatch.typing import Scalars
+from magmatch.typing import Indices, Scalars
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
 MIN_SAMPLES = 10
@@ -31,7 +31,7 @@ MAX_FIELD = 0.1
 MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
 ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
 ODD_SPEED = 50.0  # m/s, median along the samples
-JUMP = 100.0  # median steps: one that is longer, and faster than that, is no step
+JUMP = 20.0  # median steps: one that is longer, and faster than that, is no step
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
 SINCE_1970 = (9e8, 4.5e9)  # s; the years 1998 to 2112
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
@@ -183,15 +183,23 @@ def odd_speed(survey: Survey) -> str:
     return f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
 
 
+def jumps(survey: Survey) -> Indices:
+    """Samples after which the position jumps: no step of whoever carries the sensor."""
+    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
+    if survey.times is None or odd_speed(survey) or not steps.any():
+        return np.zeros(0, np.int64)
+    return np.flatnonzero((_speeds(survey) > ODD_SPEED) & (steps > JUMP * np.median(steps[steps > 0])))
+
+
 def _doubt_jumps(survey: Survey) -> Iterator[str]:
-    if survey.times is None or odd_speed(survey):
-        return
-    steps, speeds = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1), _speeds(survey)
-    jumps = np.flatnonzero((speeds > ODD_SPEED) & (steps > JUMP * np.median(steps[steps > 0])))
-    if len(jumps):
-        k = jumps[steps[jumps].argmax()]
-        more = f", and {len(jumps) - 1} more" if len(jumps) > 1 else ""
-        yield f"the position jumps by {steps[k]:.3g} m at {survey.times[k]:.9g} s{more}: cut the log there"
+    rows = jumps(survey)
+    if len(rows):
+        assert survey.times is not None
+        steps = np.linalg.norm(survey.positions[rows + 1] - survey.positions[rows], axis=1)
+        k = int(steps.argmax())
+        more = f", and {len(rows) - 1} more" if len(rows) > 1 else ""
+        said = f"the position jumps by {steps[k]:.3g} m at {survey.times[rows[k]]:.9g} s{more}"
+        yield f"{said}: odometry that lost itself, or two logs in one?"
 
 
 def _speeds(survey: Survey) -> Scalars:

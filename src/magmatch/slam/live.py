@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.arguments import column_of, expect_transform, points_of
-from magmatch.data.checks import MAX_FIELD, require_survey, too_large
+from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
 from magmatch.geometry import path_moved
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
@@ -151,6 +151,7 @@ class LiveLog:
             (*path.windows, window),
             np.append(path.middles, self._n_cut + middle),
             path.first_node,
+            jumps(whole),
         )
 
     def _look(self, path: Path, places: Places) -> None:

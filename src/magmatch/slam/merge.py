@@ -132,7 +132,8 @@ def _rigid(survey: Survey, k: int) -> Path:
     walked = path_walked(survey.positions)
     config = SlamConfig(is_gravity_aligned=False)
     window = Window(k, k, survey, survey.centroid, max(float(walked[-1]), 1e-9), config, mean_field(survey))
-    return Path(survey, walked, np.zeros(len(survey), np.int64), (window,), np.zeros(1, np.int64), k)
+    number, none = np.zeros(len(survey), np.int64), np.zeros(0, np.int64)
+    return Path(survey, walked, number, (window,), np.zeros(1, np.int64), k, none)
 
 
 def _unconnected(centers: Points) -> PoseGraph:

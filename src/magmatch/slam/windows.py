@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.checks import jumps
 from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked, rotation_matrix
 from magmatch.registration.prepared.walk import BIN_LENGTH, Walk, bin_along_path, bin_means, walk_of
@@ -98,6 +99,7 @@ class Path:
     windows: tuple[Window, ...]
     middles: Indices  # (k,): sample at which each window's node lies
     first_node: int  # node of the first window; the others follow
+    jumps: Indices  # samples after which odometry jumps
 
     @property
     def nodes(self) -> Indices:
@@ -136,7 +138,7 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int =
             Window(log, first + k, survey.subset(number == k), survey.positions[middle], length, config, whole)
             for k, middle in enumerate(middles)
         )
-        paths.append(Path(survey, walked, number, windows, middles, first))
+        paths.append(Path(survey, walked, number, windows, middles, first, jumps(survey)))
         log, first = log + 1, first + n
     return paths
 
