@@ -111,5 +111,8 @@ def test_a_path_has_what_was_walked_alone_not_what_jitter_adds_where_somebody_st
     stood = walk[:1] + 1e-3 * rng.standard_normal((3000, 3))
     assert path_moved(stood)[-1] == 0.0
     np.testing.assert_array_equal(path_moved(walk), path_walked(walk))
+    # Odometry that drifts at random on short steps moves all the same.
+    drifting = np.cumsum(0.01 * rng.standard_normal((1000, 3)), axis=0)
+    np.testing.assert_array_equal(path_moved(drifting), path_walked(drifting))
     both = path_moved(np.concatenate([stood, walk]))
     assert abs(both[-1] - 10.0) < 0.5 < path_walked(np.concatenate([stood, walk]))[-1] - 12.0
