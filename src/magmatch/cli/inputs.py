@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Files that commands take: a survey or a saved map, recognised by content."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magmatch.cli.command import Layouts, flag_of
+from magmatch.cli.option_values import refuse
 from magmatch.errors import ConfigurationError, DataFormatError
 
 if TYPE_CHECKING:
@@ -50,6 +52,12 @@ def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":
     from magmatch.data.read import read_poses
 
     return None if sniff(path) == "map" else read_poses(path, layouts.of())
+
+
+def require_own_poses(paths: Sequence[Path], layouts: Layouts, what: str) -> None:
+    """Refuse one file of poses for several inputs: it holds those of one."""
+    if len(paths) > 1 and layouts.of().trajectory is not None:
+        refuse("--trajectory", f"a single {what}, whose poses it holds", f"{len(paths)}")
 
 
 def read_result(path: Path) -> "RegistrationResult":

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_poses_of, read_survey_or_map
+from magmatch.cli.inputs import read_poses_of, read_survey_or_map, require_own_poses
 from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_folder
 from magmatch.cli.sessions import deliver
@@ -49,8 +49,7 @@ def merge(
 
     if len(surveys) < 2:
         refuse("SURVEY", "at least two surveys", str(surveys[0]))
-    if layouts.of().trajectory is not None and len(surveys) > 1:
-        refuse("--trajectory", "a single SURVEY, whose poses it holds", f"{len(surveys)}")
+    require_own_poses(surveys, layouts, "SURVEY")
     check_folder(out)
     settings = with_prior(registration_config("default", config), None, None, gravity_aligned, None, planar)
     read = [read_survey_or_map(path, layouts) for path in surveys]

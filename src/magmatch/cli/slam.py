@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_poses_of
+from magmatch.cli.inputs import read_poses_of, require_own_poses
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.processes import processes
@@ -93,8 +93,7 @@ def slam(
     switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):
         refuse("--continue", "the settings of the session that it continues", "others")
-    if layouts.of().trajectory is not None and len(logs) > 1:
-        refuse("--trajectory", "a single LOG, whose poses it holds", f"{len(logs)}")
+    require_own_poses(logs, layouts, "LOG")
     check_folder(out)
     check_outputs([rerun], logs)
     require_recording(rerun)

@@ -12,8 +12,9 @@ from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 from magmatch.typing import Indices
 
+Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
-Drift = tuple[Annotated[float, Field(ge=0, allow_inf_nan=False)], Annotated[float, Field(ge=0, allow_inf_nan=False)]]
+Drift = tuple[Deviation, Deviation]
 
 
 class OdometryConfig(Settings):

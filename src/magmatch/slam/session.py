@@ -34,9 +34,9 @@ from magmatch.slam.graph.solve import most_contradicted
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.places import Places
-from magmatch.slam.result import AnchorResult, LogResult, Odometry, SlamResult, SlamStatus
+from magmatch.slam.result import LogResult, Odometry, SlamResult, SlamStatus
 from magmatch.slam.search.bases import Run
-from magmatch.slam.statement import explain, state_closure, state_odometry
+from magmatch.slam.statement import explain, state_anchors, state_closure, state_odometry
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Vector3
@@ -109,27 +109,27 @@ class Session:
             raise ValueError(msg)
         for survey in logs:
             require_survey(survey, name="log")
+            who = survey.name or "log"
             if not has_order(survey):
-                who = survey.name or "log"
                 msg = f"{who}: its samples follow no path, expected a walk by odometry; for rigid surveys use merge"
                 raise SurveyError(msg)
             if words := odd_speed(survey):
-                msg = f"{survey.name or 'log'}: {words}"
+                msg = f"{who}: {words}"
                 raise SurveyError(msg)
         given = [*self.given, *logs]
         require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         # Those of before may be given again.
-        known = set() if earlier is None else {(of, a.t, *a.position, a.sd) for a, of in earlier.anchors}
+        known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}
         passed = of_logs(listed, given, names_of(given))
-        fixed = [(a, of) for a, of in passed if (of, a.t, *a.position, a.sd) not in known]
+        fixed = [(a, of) for a, of in passed if (of, a.numbers) not in known]
         if earlier is None or earlier.maker is None:
             config = settled(given, config)
         steps = Steps(
             None if keep is None else FilePath(keep), version=__version__, config=config.model_dump(mode="json"),
             inputs=[describe_input(survey) for survey in given], n_earlier=len(self.given),
             closures=[c.log_odds for c in earlier.graph.closures] if earlier else [],
-            anchors=[[a.log, a.t, *a.position.tolist(), a.sd] for a, _ in fixed],
+            anchors=[[a.log, *a.numbers] for a, _ in fixed],
         )  # fmt: skip
         try:
             with followed(progress):
@@ -294,20 +294,7 @@ class Session:
             ),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
-            tuple(
-                AnchorResult(
-                    names[log],
-                    a.t,
-                    a.position.tolist(),
-                    a.sd,
-                    off.tolist(),
-                    without.tolist(),
-                    float(np.sqrt(np.trace(C) / 3)),
-                )
-                for (a, log), off, without, C in zip(
-                    anchors, self.graph.off_fixed(), *self.graph.off_fixed_without(), strict=True
-                )
-            ),
+            state_anchors(anchors, self.graph, names),
             Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import adjoint
+from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.result import ClosureResult, LogOdometry, Odometry, SlamStatus
+from magmatch.slam.result import AnchorResult, ClosureResult, LogOdometry, Odometry, SlamStatus
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Vector3
 
@@ -50,6 +51,19 @@ def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
     """A covariance of xi about a frame's origin as one about a point of the frame, same axes."""
     M = adjoint(RigidTransform.from_translation(-point))
     return np.asarray(M @ covariance @ M.T)
+
+
+def state_anchors(
+    anchors: Sequence[tuple[Anchor, int]], graph: PoseGraph, names: Sequence[str]
+) -> tuple[AnchorResult, ...]:
+    """Fixed points, each with its log's number, and the residuals of the log there."""
+    residuals = zip(anchors, graph.off_fixed(), *graph.off_fixed_without(), strict=True)
+    return tuple(
+        AnchorResult(
+            names[of], a.t, a.position.tolist(), a.sd, off.tolist(), without.tolist(), float(np.sqrt(np.trace(C) / 3))
+        )
+        for (a, of), off, without, C in residuals
+    )
 
 
 def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], names: Sequence[str]) -> Odometry:

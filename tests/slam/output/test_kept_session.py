@@ -55,8 +55,8 @@ def test_folders_that_hold_no_such_session_are_refused(lone, folder, tmp_path):
         read_session(folder, [OTHER])
     with pytest.raises(DataFormatError, match="no session to continue"):
         read_session(tmp_path, [lone.log])
-    with pytest.raises(DataFormatError, match="fewer inputs; do so, name a new folder"):
-        require_folder(folder, [lone.log, OTHER], to_add="do so, ")
+    with pytest.raises(DataFormatError, match="fewer inputs; add the others with --continue, name a new folder"):
+        require_folder(folder, [lone.log, OTHER], to_add="add the others with --continue, ")
     require_folder(folder, [lone.log, OTHER], may_be_more=True)
     content = json.loads((folder / "session.json").read_text())
     content.pop("checksum")

@@ -55,6 +55,11 @@ class Anchor:
             raise ValueError(msg)
         object.__setattr__(self, "position", position)
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """As `NUMBERS` names them."""
+        return (self.t, *self.position.tolist(), self.sd)
+
 
 def read_anchors(path: str | FilePath) -> list[Anchor]:
     """Read fixed points from a table with the columns ``log,t,x,y,z,sd`` (s and m).
