@@ -182,6 +182,9 @@ def bit_for_bit(run: Callable[..., Iterable[bytes]]) -> Callable[[Callable[[T], 
 
     SciPy brings a transform to the nearest one whenever it is unpickled.
     """
+    if not callable(run):
+        msg = f"run: expected a callable such as magmatch.workers.DaskRunner, got {run!r:.40}"
+        raise TypeError(msg)
 
     def run_packed(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         packed = (_Packed(task.name, task.home, _pack(task)) for task in tasks)

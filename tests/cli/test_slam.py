@@ -138,6 +138,23 @@ def test_without_the_package_that_draws_all_but_the_report_is_written(run, place
     assert {"base.csv", "graph.g2o", "result.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
+def test_merge_in_other_processes_writes_the_same_closures(run, place, tmp_path):
+    words = ["merge", place / "base.csv", place / "target.csv", "--json"]
+    alone, both = (run(*words, "--out", tmp_path / out, *more) for out, *more in (["one"], ["two", "--jobs", "2"]))
+    assert both.code == alone.code == 0, both.err
+    assert json.loads(both.out)["closures"] == json.loads(alone.out)["closures"]
+    assert not (tmp_path / ".two.unfinished").exists()
+
+
+def test_one_file_of_poses_is_not_taken_for_several_surveys(run, place, tmp_path):
+    for words in (["merge"], ["map"]):
+        files = [place / "base.csv", place / "target.csv"]
+        done = run(*words, *files, "--trajectory", "p.tum", "--out", tmp_path / "out")
+        assert done.code == 2
+        assert "a single SURVEY" in done.err
+        assert "magmatch convert" in done.err
+
+
 def test_merge_takes_two_at_least(run, place, tmp_path):
     done = run("merge", place / "base.csv", "--out", tmp_path / "out")
     assert done.code == 2

@@ -65,6 +65,17 @@ def test_samples_that_lie_close_do_not_make_the_field_look_short():
     assert 0.7 < length / session.paths[0].windows[0].length < 1.4
 
 
+def test_a_phone_that_recalibrates_itself_on_the_way_still_finds_what_it_passes_again():
+    log, truth = drifting_walk(Place(1), 1, laps=2.6)
+    steps = np.where(np.arange(len(log))[:, None] < 400, 0.0, [8e-6, -4e-6, 4e-6])
+    session = mm.Session()
+    feed(session, replace(log, field=log.field + log.orientations.apply(steps)))
+    walked = session.trajectories[0].positions
+    n = len(walked)
+    assert n > 450
+    assert trajectory_error(truth[:n], walked) < 0.5 * trajectory_error(truth[:n], log.positions[:n])
+
+
 def test_finished_it_is_what_slam_makes_of_the_log_bit_for_bit(walked):
     session = walked[-1]
     batch = mm.slam(session.given[0])

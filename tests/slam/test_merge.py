@@ -167,3 +167,42 @@ def test_what_cannot_be_merged_is_refused_in_one_sentence(surveys, given, error,
 def test_the_published_method_knows_no_covariance(surveys):
     with pytest.raises(ConfigurationError, match="covariance"):
         merge(surveys, PRESETS["paper"])
+
+
+def shuffled(function, tasks):
+    """Stands for other processes: tasks come as bytes, none shares anything with another."""
+    return [function(task) for task in list(tasks)]
+
+
+def test_other_processes_give_the_same_bits(session, surveys):
+    again = merge(surveys, run=shuffled)
+    np.testing.assert_array_equal(again.graph.p, session.graph.p)
+    np.testing.assert_array_equal(again.graph.R, session.graph.R)
+    assert [c.log_odds for c in again.graph.closures] == [c.log_odds for c in session.graph.closures]
+
+
+def test_an_interrupted_merge_goes_on_where_it_stopped(session, surveys, tmp_path, monkeypatch):
+    made = []
+    register_one = merging.register
+
+    def until(n):
+        def registered(*args, **kwargs):
+            if len(made) == n:
+                raise KeyboardInterrupt
+            made.append(args)
+            return register_one(*args, **kwargs)
+
+        return registered
+
+    monkeypatch.setattr(merging, "register", until(4))
+    with pytest.raises(KeyboardInterrupt):
+        merge(surveys, keep=tmp_path / "kept")
+    monkeypatch.setattr(merging, "register", until(6))
+    again = merge(surveys, keep=tmp_path / "kept")
+    assert len(made) == 6
+    np.testing.assert_array_equal(again.graph.p, session.graph.p)
+    np.testing.assert_array_equal(again.graph.R, session.graph.R)
+    # What was kept of other surveys is not taken.
+    made.clear()
+    merge(surveys[:2], keep=tmp_path / "kept")
+    assert len(made) == 1

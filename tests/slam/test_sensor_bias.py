@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drifting import Place, drifting_walk
+import magmatch as mm
+from drifting import Place, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.sensor_bias import sensor_bias, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
 
 CONFIG = SlamConfig()
 NUMBERS = Hyperparameters(1.0, 3e-6, 3e-7, 0.3, 100.0)
@@ -82,3 +83,33 @@ def test_what_was_added_is_taken_off_again_and_without_orientations_nothing_is()
     assert not bias.any()
     assert not sd.any()
     assert without_bias(bare, bias) is bare
+
+
+def recalibrated(log, row, step):
+    """The log of a phone whose calibration jumps at a row by a step in its own axes."""
+    steps = np.where(np.arange(len(log))[:, None] < row, 0.0, step)
+    return replace(log, field=log.field + log.orientations.apply(steps))
+
+
+@pytest.mark.parametrize(("row", "step"), [(60, [40e-6, 0.0, -20e-6]), (300, [-3e-6, 3e-6, 3e-6])])
+def test_a_phone_that_recalibrates_itself_is_taken_as_it_was_for_the_longest_time(row, step):
+    log, _ = drifting_walk(Place(1), 1)
+    found = in_one_calibration(recalibrated(log, row, step))
+    moved = log.orientations.inv().apply(found.field - log.field)
+    # All as before or all as after the jump, but for how well a jump is measured between readings 10 cm apart.
+    np.testing.assert_allclose(
+        moved, np.tile(step if row < len(log) / 2 else np.zeros(3), (len(log), 1)), atol=1.5e-6
+    )
+    assert in_one_calibration(log) is log
+    # The first piece's calibration, if that is asked for.
+    first = in_one_calibration(recalibrated(log, row, step), 0)
+    np.testing.assert_allclose(first.field[:row], log.field[:row], atol=1e-15)
+
+
+def test_slam_takes_the_jump_out_and_says_when_it_was():
+    log, truth = drifting_walk(Place(1), 1)
+    session = mm.slam(recalibrated(log, 200, [5e-6, -2e-6, 2e-6]))
+    assert trajectory_error(truth, session.trajectories[0].positions) < 0.3 * trajectory_error(truth, log.positions)
+    (said,) = session.result().odometry["logs"]["walk"]["recalibrations"]
+    assert said["t"] == log.times[200]
+    np.testing.assert_allclose(said["step"], [5e-6, -2e-6, 2e-6], atol=1.5e-6)

@@ -11,10 +11,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import magmatch as mm
 from drifting import trajectory_error
 from magmatch.data.read import read_survey
-from magmatch.errors import DataFormatError, SurveyError
+from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.find_places import settled
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.output.folder import require_folder, write_folder
@@ -264,6 +265,32 @@ def test_what_is_no_log_is_refused_in_one_sentence(lone):
         mm.slam([lone.log, lone.log])
     with pytest.raises(SurveyError, match="wrong length unit"):
         mm.slam(replace(lone.log, positions=1000 * lone.log.positions))
+
+
+@pytest.mark.parametrize(
+    ("given", "kind", "said"),
+    [
+        ({"anchors": [("walk", 1.0)]}, TypeError, r"anchors\[0\]"),
+        ({"run": 3}, TypeError, "run: expected a callable"),
+        ({"keep": "no/such/folder"}, ConfigurationError, "keep: the folder .*no/such does not exist"),
+    ],
+)
+def test_options_that_cannot_be_are_refused_before_any_work(lone, given, kind, said):
+    with pytest.raises(kind, match=said):
+        mm.slam(lone.log, **given)
+
+
+def test_a_component_that_is_none_is_refused(lone):
+    with pytest.raises(ValueError, match="component: expected a whole number from 0 to 0"):
+        lone.session.map(3)
+
+
+def test_logs_stated_as_planar_that_lie_at_two_heights_are_warned_of(lone, caplog):
+    other = replace(lone.log, positions=lone.log.positions + np.array([0.0, 0.0, 1.2]), name="high.csv")
+    assert settled([lone.log, other], SlamConfig()) == SlamConfig()
+    planar = SlamConfig(is_planar=True)
+    assert settled([lone.log, other], planar) == planar
+    assert "stated as planar, but heights go from" in caplog.text
 
 
 def test_fixed_points_that_are_given_again_count_once(lone):

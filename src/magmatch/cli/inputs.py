@@ -55,9 +55,12 @@ def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":
 
 
 def require_own_poses(paths: Sequence[Path], layouts: Layouts, what: str) -> None:
-    """Refuse one file of poses for several inputs: it holds those of one."""
-    if len(paths) > 1 and layouts.of().trajectory is not None:
-        refuse("--trajectory", f"a single {what}, whose poses it holds", f"{len(paths)}")
+    """Refuse one file of poses for several inputs that are no saved maps: it holds those of one."""
+    from magmatch.data.formats.sniff import sniff
+
+    if layouts.of().trajectory is not None and sum(sniff(path) != "map" for path in paths) > 1:
+        each = f"magmatch convert {what} --trajectory POSES --out {what}.csv"
+        refuse("--trajectory", f"a single {what}, whose poses it holds (else first: {each})", f"{len(paths)}")
 
 
 def read_result(path: Path) -> "RegistrationResult":

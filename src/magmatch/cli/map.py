@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_map, read_samples
+from magmatch.cli.inputs import read_map, read_samples, require_own_poses
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
@@ -76,6 +76,7 @@ def build(
     from magmatch.field.config import FieldConfig
     from magmatch.field.priors import PRIORS
 
+    require_own_poses(surveys, layouts, "SURVEY")
     is_addition = (
         prior is None and domain is None and config is None and sniff(surveys[0]) == "map" and len(surveys) > 1
     )

@@ -55,7 +55,7 @@ def deliver(
     if json:
         put(as_json(result.to_dict()))
     if session.graph.config.is_planar:
-        say("Taken as planar: every pose lies at one height")
+        say("Taken as planar: all poses at one height")
     say(tell(result))
     say(f"Wrote {out}")
     return DONE if result.is_connected else NOT_ACCEPTED

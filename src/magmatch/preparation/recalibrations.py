@@ -42,16 +42,18 @@ class Recalibrations:
 
     def channels(self, n: int) -> dict[str, Scalars]:
         """One channel for each piece but the longest, 1 within it: so that a calibration gives each a constant."""
-        piece = self.piece_of(n)
-        longest = int(np.bincount(piece).argmax())
+        piece, longest = self.piece_of(n), self.longest(n)
         return {f"{PIECE}{k + 1}": (piece == k).astype(np.float64) for k in range(len(self) + 1) if k != longest}
 
-    def joined(self, log: SensorLog) -> SensorLog:
-        """The log with all pieces moved, by the jumps as measured, to the longest."""
-        piece = self.piece_of(len(log))
+    def longest(self, n: int) -> int:
+        """Number of the longest piece of n readings."""
+        return int(np.bincount(self.piece_of(n)).argmax())
+
+    def joined(self, log: SensorLog, to: int | None = None) -> SensorLog:
+        """The log with all pieces moved, by the jumps as measured, to one of them, by default the longest."""
         offsets = np.vstack([np.zeros(3), np.cumsum(self.steps, axis=0)])
-        offsets -= offsets[int(np.bincount(piece).argmax())]
-        return replace(log, readings=log.readings - offsets[piece])
+        offsets -= offsets[self.longest(len(log)) if to is None else to]
+        return replace(log, readings=log.readings - offsets[self.piece_of(len(log))])
 
 
 NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))

@@ -20,7 +20,7 @@ from magmatch.slam.places import Places
 from magmatch.slam.refine.refine import refine
 from magmatch.slam.search.bases import BaseMaker, Run
 from magmatch.slam.search.predicted import SURE
-from magmatch.slam.sensor_bias import sensor_bias, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
 from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import cut
@@ -35,7 +35,14 @@ NO_BIAS = (np.zeros(3), np.zeros(3))
 
 def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
     """Settings with what the logs show of themselves: whether they lie level."""
-    if not config.is_gravity_aligned or config.is_planar or not lie_level(given):
+    is_level = lie_level(given)
+    if config.is_planar and not is_level:
+        z = np.concatenate([survey.positions[:, 2] for survey in given])
+        log.warning(
+            "stated as planar, but heights go from %.2f to %.2f m, or bodies lean: unstated, both are estimated",
+            z.min(), z.max(),
+        )  # fmt: skip
+    if not config.is_gravity_aligned or config.is_planar or not is_level:
         return config
     log.info("all poses lie at one height: taken as planar")
     return config.model_copy(update={"is_planar": True})
@@ -48,6 +55,7 @@ def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
         return Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given))
     tell("learning how the field changes")
+    given = [in_one_calibration(survey) for survey in given]
     numbers, length, measured = shared_numbers(given)
     biases = [sensor_bias(survey, numbers, config) for survey in given]
     paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.arguments import column_of, expect_transform, points_of
 from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
+from magmatch.field.selection.spline_hyperparameters import FEWEST_SAMPLES
 from magmatch.geometry import path_moved
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
@@ -16,14 +17,14 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import begin, settled
 from magmatch.slam.places import Places
 from magmatch.slam.search.candidates import Candidate
-from magmatch.slam.sensor_bias import without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, recalibrations_of, without_bias
 from magmatch.slam.shared_numbers import N_PARTS
 from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Scalars, Vector3, Vectors
 
-# Samples at which it is first tried to learn how the field changes, and their least growth until the next time.
-FIRST_SAMPLES, LEAST_GROWTH = 64, 1.25
+# Samples from which it is first learned how the field changes: of fewer, parts would show nothing.
+FIRST_SAMPLES = N_PARTS * FEWEST_SAMPLES
 
 
 class LiveLog:
@@ -38,10 +39,14 @@ class LiveLog:
         self._b: list[Vector3] = []
         self._T_odom_body = RigidTransform.identity()
         self._path: Path | None = None
-        self._next_try, self._next_learning = FIRST_SAMPLES, PRIOR_STRETCHES
+        # Samples and closures from which more is learned; earlier logs have shown how the field changes.
+        self._next_field = FIRST_SAMPLES if places is None else np.inf
+        self._next_noise = PRIOR_STRETCHES
         # Samples that lie in windows; path since then, and the place it was measured to.
         self._n_cut, self._walked = 0, 0.0
         self._here = np.zeros(3)
+        # The piece whose calibration all have, of those between which the magnetometer recalibrated itself.
+        self._piece = 0
         # Candidates of the last windows: near, and on other logs.
         self._near: list[list[Candidate]] = []
         self._far: list[list[Candidate]] = []
@@ -68,7 +73,9 @@ class LiveLog:
         self._R.append(R.as_quat())
         self._b.append(R.apply(b))
         self._T_odom_body = T_odom_body
-        return self._learn() if self.places is None else self._walk(self.places)
+        if len(self._t) >= self._next_field and self._learn_field():
+            return True
+        return self.places is not None and self._walk(self.places)
 
     def survey(self, first: int = 0) -> Survey:
         """All samples, or those from one on."""
@@ -83,29 +90,30 @@ class LiveLog:
         window = self._path.windows[-1]
         return self.places.graph.pose(window.node) * window.T_log_node.inv() * self._T_odom_body
 
-    def _learn(self) -> bool:
-        """Begin, as soon as windows can be compared."""
-        if len(self._t) < self._next_try:
-            return False
+    def _learn_field(self) -> bool:
+        """Learn how the field changes, and search all that was walked with that; returns whether this was done.
+
+        A short path shows short lengths only. So it is learned again when the path has doubled, until each part that
+        it is learned from is as long as a window.
+        """
+        self._next_field = 2 * len(self._t)
         survey = self.survey()
         walked = path_moved(survey.positions)
-        if walked[-1] == 0:
-            self._next_try *= 2
-            return False  # it stands
-        if _is_one_slope(survey.field, walked):
-            self._next_try = round(self._next_try * LEAST_GROWTH)
-            return False
+        if walked[-1] == 0 or _is_one_slope(survey.field, walked):
+            return False  # it stands, or has seen too little
         require_survey(survey, name="log")
         with one_blas_thread():
             places = begin([survey], settled([survey], self.config))
-            # The field's numbers come from so many parts of the path, each of which must see as much as a window.
-            if places.maker is None or (n := len(places.paths[0].windows)) < N_PARTS:
-                share = 2.0 if places.maker is None else N_PARTS / n
-                self._next_try = round(self._next_try * float(np.clip(share, LEAST_GROWTH, 2.0)))
-                return False
-            self.places, self._path = places, places.paths[0]
+            if places.maker is None:
+                return False  # nothing tells places apart
+            if len(places.paths[0].windows) >= N_PARTS:
+                self._next_field = np.inf
+            self.places, self._path, self._near = places, places.paths[0], []
+            self._piece = _longest_piece(survey)
             places.solve()
             places.close_near([self._path])
+            self._next_noise = PRIOR_STRETCHES
+            self._learn_noise(places)
         self._cut_here()
         return True
 
@@ -122,7 +130,7 @@ class LiveLog:
             return False
         with one_blas_thread():
             if self._path is None:
-                self._path = places.add(self.survey())
+                self._path, self._piece = places.add(survey := self.survey()), _longest_piece(survey)
             else:
                 self._path = places.paths[-1] = self._longer(self._path, places)
                 places.solve()
@@ -137,7 +145,8 @@ class LiveLog:
         """The path with one window more."""
         assert places.maker is not None
         bias, length = places.biases[-1][0], places.maker.length
-        part, whole = (without_bias(self.survey(first), bias) for first in (self._n_cut, 0))
+        whole = without_bias(in_one_calibration(self.survey(), self._piece), bias)
+        part = whole.subset(np.arange(len(whole)) >= self._n_cut)
         step = np.linalg.norm(whole.positions[self._n_cut] - whole.positions[self._n_cut - 1])
         walked = path.walked[-1] + step + walked_along(part, BIN_LENGTH * length)
         middle = int(np.searchsorted(walked, (walked[0] + walked[-1]) / 2))
@@ -165,11 +174,19 @@ class LiveLog:
         if places.others(path):
             self._far = [*self._far, *places.anywhere([window], path)][-n:]
             places.connect(last, [[]] * (n - len(self._far)) + self._far, path)
-        if len(places.graph.closures) >= self._next_learning:
+        self._learn_noise(places)
+
+    def _learn_noise(self, places: Places) -> None:
+        """Learn noise and drift, if there are twice as many closures as the last time."""
+        if len(places.graph.closures) >= self._next_noise:
             places.learn_noise()
             places.learn_drift()
             self._path = places.paths[-1]
-            self._next_learning = 2 * len(places.graph.closures)
+            self._next_noise = 2 * len(places.graph.closures)
+
+
+def _longest_piece(survey: Survey) -> int:
+    return recalibrations_of(survey).longest(len(survey))
 
 
 def _is_one_slope(field: Vectors, walked: Scalars) -> bool:

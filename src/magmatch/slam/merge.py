@@ -2,34 +2,41 @@
 """Rigid surveys in one frame: registration of all pairs, and a graph with a node for each survey."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path as FilePath
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import expit
 
+from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
+from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
-from magmatch.geometry import log_se3, path_walked, rotation_matrix
+from magmatch.geometry import log_se3, path_walked, rotation_matrix, transform_from_matrix
+from magmatch.progress import Progress, counted, followed
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
-from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
-from magmatch.registration.result import RegistrationResult
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
+from magmatch.slam.search.bases import Run
 from magmatch.slam.session import Session, require_distinct
 from magmatch.slam.statement import covariance_about
+from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Points
+from magmatch.typing import Matrix, Points, Scalars
+from magmatch.workers import bit_for_bit
 
 log = logging.getLogger(__name__)
 
@@ -37,10 +44,18 @@ log = logging.getLogger(__name__)
 LEAST_DOUBT = 1e-12
 # Trees of closures tried for a start.
 N_TREES = 64
+# Of a registration: transform, covariance, probability.
+N_NUMBERS = 16 + 36 + 1
 
 
 def merge(
-    surveys: Sequence[Survey | FieldMap], config: RegistrationConfig | None = None, *, seed: int = 0
+    surveys: Sequence[Survey | FieldMap],
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    run: Run | None = None,
+    progress: Progress | None = None,
+    keep: str | FilePath | None = None,
 ) -> Session:
     """Bring surveys of one place, each rigid in its own frame, into one frame.
 
@@ -55,6 +70,8 @@ def merge(
         Of the registration of each pair.
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
+    run, progress, keep
+        See `slam`; other processes register the pairs.
 
     Returns
     -------
@@ -71,16 +88,23 @@ def merge(
     if config.search == "keypoints":
         msg = "merge: the published method states no covariance, which the graph needs; take another preset"
         raise ConfigurationError(msg)
-    require_distinct([survey_of(survey) for survey in given])
-    clock = Clock()
-    with one_blas_thread():
+    samples, clock = [survey_of(survey) for survey in given], Clock()
+    require_distinct(samples)
+    steps = Steps(
+        keep, version=__version__, config=config.model_dump(mode="json"), seed=seed,
+        inputs=[describe_input(survey) for survey in samples],
+        maps=[repr(one.hyperparameters) if isinstance(one, FieldMap) else None for one in given],
+    )  # fmt: skip
+    with followed(progress), one_blas_thread():
         with clock("maps"):
-            maps = [as_map(survey, config.field) for survey in given]
-        samples = [survey_of(survey) for survey in given]
+            maps = [as_map(survey, config.field) for survey in counted("mapping", given)]
         paths = [_rigid(survey, k) for k, survey in enumerate(samples)]
         graph = _unconnected(np.stack([survey.centroid for survey in samples]))
         with clock("registration"):
-            graph.closures = _register_pairs(given, maps, config, seed)
+            try:
+                graph.closures = _register_pairs(maps, samples, config, seed, steps, run)
+            finally:
+                steps.keep()
         with clock("graph"):
             _lay_out(graph)
             solve(graph)
@@ -97,34 +121,62 @@ def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
     return list(surveys)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Pair:
+    """Two surveys to register."""
+
+    name: str
+    base: FieldMap | MapIndex
+    target: FieldMap
+    config: RegistrationConfig
+    seed: int
+    home: int | None = None
+
+
 def _register_pairs(
-    given: Sequence[Survey | FieldMap], maps: Sequence[FieldMap], config: RegistrationConfig, seed: int
-) -> list[Closure]:
-    """Closures between all pairs that registration accepts; each base is prepared once."""
+    maps: Sequence[FieldMap], samples: Sequence[Survey], config: RegistrationConfig, seed: int, steps: Steps,
+    run: Run | None,
+) -> list[Closure]:  # fmt: skip
+    """Closures between all pairs that registration accepts, a step each."""
+    pairs = list(combinations(range(len(maps)), 2))
+    new = pairs[steps.n_kept :]
+
+    def tasks() -> Iterator[_Pair]:
+        index = None
+        for a, b in new:
+            # Each base is prepared once, or by whoever takes the pair.
+            if run is None and (index is None or index.field_map is not maps[a]):
+                index = prepare_index(maps[a], config)
+            yield _Pair(f"{samples[a].name} and {samples[b].name}", index or maps[a], maps[b], config, seed)
+
+    found = map(_register, tasks()) if run is None else bit_for_bit(run)(_register, tasks())
     closures: list[Closure] = []
-    n_pairs = len(maps) * (len(maps) - 1) // 2
-    index = None
-    for n, (a, b) in enumerate(combinations(range(len(maps)), 2)):
-        if index is None or index.field_map is not maps[a]:
-            index = prepare_index(maps[a], config)
-        log.info("pair %d of %d: %s and %s", n + 1, n_pairs, maps[a].survey.name, maps[b].survey.name)
-        result = register(index, maps[b], config, seed=seed)
-        log.info("%s", result.reason)
-        if result.is_accepted:
-            closures.append(_closure(a, b, result, survey_of(given[a]), survey_of(given[b])))
+    for a, b in counted("registering pairs", pairs):
+        rows = steps(lambda: next(found))
+        log.info("%s and %s: %s", samples[a].name, samples[b].name, "tied" if len(rows) else "not tied")
+        closures += [_closure(a, b, row, samples[a], samples[b]) for row in rows]
     return closures
 
 
-def _closure(a: int, b: int, result: RegistrationResult, base: Survey, target: Survey) -> Closure:
-    """A registration as a tie between centroids: about its frame's origin, far away, a turn would be a shift."""
+def _register(pair: _Pair) -> Matrix:
+    """A row with transform, covariance and probability of a registration; none if it is refused."""
+    result = register(pair.base, pair.target, pair.config, seed=pair.seed)
+    log.info("%s", result.reason)
+    if not result.is_accepted:
+        return np.zeros((0, N_NUMBERS))
     assert result.T_base_target is not None
     assert result.covariance is not None
-    assert result.probability is not None
-    T = RigidTransform.from_translation(-base.centroid) * result.T_base_target
+    T, C = result.T_base_target.as_matrix().ravel(), result.covariance.ravel()
+    return np.concatenate([T, C, [result.probability]])[None]
+
+
+def _closure(a: int, b: int, row: Scalars, base: Survey, target: Survey) -> Closure:
+    """A registration as a tie between centroids: about its frame's origin, far away, a turn would be a shift."""
+    T = RigidTransform.from_translation(-base.centroid) * transform_from_matrix(row[:16].reshape(4, 4))
     T = T * RigidTransform.from_translation(target.centroid)
-    p = min(result.probability, 1 - LEAST_DOUBT)
+    p = min(float(row[-1]), 1 - LEAST_DOUBT)
     odds = float(np.log(p / (1 - p)))
-    return Closure(a, b, T, covariance_about(result.covariance, target.centroid), odds)
+    return Closure(a, b, T, covariance_about(row[16:-1].reshape(6, 6), target.centroid), odds)
 
 
 def _rigid(survey: Survey, k: int) -> Path:

@@ -31,7 +31,7 @@ from magmatch.slam.search.candidates import Candidate, numbers_of, of_numbers
 from magmatch.slam.search.comparison import Comparison, Found, Search, Searched, candidate, compare
 from magmatch.slam.search.loop_closure import residuals
 from magmatch.slam.search.predicted import SURE, earlier_passes, is_known, nearby
-from magmatch.slam.sensor_bias import sensor_bias, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.typing import Indices, Mask, Matrix, Points, Vector3
@@ -76,6 +76,7 @@ class Places:
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
         assert self.maker is not None
+        survey = in_one_calibration(survey)
         bias = sensor_bias(survey, self.maker.numbers, self.maker.config)
         unbiased = without_bias(survey, bias[0])
         (path,) = cut([unbiased], self.maker.length, self.maker.config, len(self.paths), len(self.graph.p))

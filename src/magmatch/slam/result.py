@@ -118,6 +118,13 @@ class AnchorResult:
     sd_without: Length
 
 
+class Recalibration(TypedDict):
+    """A jump of the magnetometer's own calibration, which was taken out of the readings."""
+
+    t: Number  # s, of the first reading after it
+    step: Three[Number]  # T, in the magnetometer's axes
+
+
 class LogOdometry(TypedDict):
     """Estimated constant errors of one log."""
 
@@ -125,6 +132,7 @@ class LogOdometry(TypedDict):
     turn_rate: Number  # rad/m
     bias: Three[Number]  # T, of the magnetometer in its own axes
     bias_sd: Three[NumberOrNull]
+    recalibrations: list[Recalibration]  # of the magnetometer by itself, on the way
 
 
 class Odometry(TypedDict, total=False):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hard iron, estimated from a log whose poses drift.
+"""Hard iron, estimated from a log whose poses drift; it may jump where a phone recalibrates itself.
 
 Along the path the field is a constant, turned as the odometry drifts, plus an independent smooth field in each part,
 plus the bias rotated by the orientation: generalised least squares over all parts. Components that the headings do
@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
+from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations
+from magmatch.preparation.sensor_log import SensorLog
 from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Vector3
@@ -25,6 +27,19 @@ from magmatch.typing import Vector3
 BIAS_SD = 10e-6
 # Bins a lengthscale, and lengthscales a part.
 BINS, PART_LENGTH = 4, 25.0
+
+
+def recalibrations_of(survey: Survey) -> Recalibrations:
+    """Where the magnetometer recalibrated itself; none where orientations are missing."""
+    return NO_CUTS if survey.orientations is None else find_recalibrations(SensorLog.of(survey))
+
+
+def in_one_calibration(survey: Survey, piece: int | None = None) -> Survey:
+    """The survey with the calibration of one of the pieces between which it jumps, by default of the longest."""
+    found = recalibrations_of(survey)
+    if survey.orientations is None or not len(found):
+        return survey
+    return replace(survey, field=survey.orientations.apply(found.joined(SensorLog.of(survey), piece).readings))
 
 
 def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:

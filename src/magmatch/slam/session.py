@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
 from magmatch._version import __version__
-from magmatch.arguments import expect_kind
+from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.data.checks import odd_speed, require_survey
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.order import has_order
@@ -119,6 +119,8 @@ class Session:
         given = [*self.given, *logs]
         require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
+        for k, anchor in enumerate(listed):
+            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.Anchor(log, t, position, sd)")
         # Those of before may be given again.
         known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}
         passed = of_logs(listed, given, names_of(given))
@@ -126,7 +128,7 @@ class Session:
         if earlier is None or earlier.maker is None:
             config = settled(given, config)
         steps = Steps(
-            None if keep is None else FilePath(keep), version=__version__, config=config.model_dump(mode="json"),
+            keep, version=__version__, config=config.model_dump(mode="json"),
             inputs=[describe_input(survey) for survey in given], n_earlier=len(self.given),
             closures=[c.log_odds for c in earlier.graph.closures] if earlier else [],
             anchors=[[a.log, *a.numbers] for a, _ in fixed],
@@ -269,6 +271,7 @@ class Session:
 
     def map(self, component: int = 0, config: FieldConfig | None = None) -> FieldMap:
         """One map of all logs of a component; with the default settings it is computed once."""
+        whole_number_of(component, "component", most=len(self.components) - 1)
         if config is None and component in self._maps:
             return self._maps[component]
         made = build_map([self.trajectories[k] for k in self.components[component]], config)
@@ -295,7 +298,7 @@ class Session:
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             state_anchors(anchors, self.graph, names),
-            Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, names),
+            Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, self.logs, names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,

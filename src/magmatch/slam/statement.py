@@ -6,11 +6,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.survey import Survey
 from magmatch.geometry import adjoint
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.result import AnchorResult, ClosureResult, LogOdometry, Odometry, SlamStatus
+from magmatch.slam.result import AnchorResult, ClosureResult, LogOdometry, Odometry, Recalibration, SlamStatus
+from magmatch.slam.sensor_bias import recalibrations_of
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Vector3
 
@@ -66,16 +68,31 @@ def state_anchors(
     )
 
 
-def state_odometry(graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], names: Sequence[str]) -> Odometry:
+def state_odometry(
+    graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], logs: Sequence[Survey], names: Sequence[str]
+) -> Odometry:
     """The drift of the odometry, and each log's constant errors."""
-    logs = zip(names, graph.lasting.tolist(), biases, strict=True)
+    each = zip(names, graph.lasting.tolist(), biases, map(_state_recalibrations, logs), strict=True)
     return Odometry(
         sd=graph.config.odometry.sd,
         logs={
-            name: LogOdometry(scale=float(np.expm1(scale)), turn_rate=rate, bias=bias.tolist(), bias_sd=sd.tolist())
-            for name, (scale, rate), (bias, sd) in logs
+            name: LogOdometry(
+                scale=float(np.expm1(scale)), turn_rate=rate, bias=bias.tolist(), bias_sd=sd.tolist(),
+                recalibrations=found,
+            )
+            for name, (scale, rate), (bias, sd), found in each
         },
-    )
+    )  # fmt: skip
+
+
+def _state_recalibrations(survey: Survey) -> list[Recalibration]:
+    found = recalibrations_of(survey)
+    if survey.times is None:
+        return []
+    return [
+        Recalibration(t=t, step=step)
+        for t, step in zip(survey.times[found.rows].tolist(), found.steps.tolist(), strict=True)
+    ]
 
 
 def explain(

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.document import read_document, write_document
-from magmatch.errors import DataFormatError
+from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Matrix
 
 log = logging.getLogger(__name__)
@@ -34,13 +34,16 @@ class Steps:
     ``of`` is the input of the steps, in JSON's types: results for any other input are deleted.
     """
 
-    def __init__(self, folder: Path | None = None, **of: Any) -> None:
-        self.folder = folder
+    def __init__(self, folder: str | Path | None = None, **of: Any) -> None:
+        self.folder = folder = None if folder is None else Path(folder)
         self._of = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:15]
         self._kept: list[Any] = []
         self._new: list[Any] = []
         self._n_written, self._written = 0, monotonic()
         if folder is not None:
+            if not folder.resolve().parent.is_dir():
+                msg = f"keep: the folder {folder.resolve().parent} does not exist; create it first"
+                raise ConfigurationError(msg)
             self._read(folder)
         if self._kept:
             log.info("going on after %d steps that were kept in %s", len(self._kept), folder)
@@ -55,6 +58,11 @@ class Steps:
             if monotonic() - self._written > KEEP_EVERY_S:
                 self.keep()
         return found
+
+    @property
+    def n_kept(self) -> int:
+        """Stored results of the steps to come."""
+        return len(self._kept)
 
     def keep(self) -> None:
         """Write what was found since the last time."""

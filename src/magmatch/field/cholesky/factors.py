@@ -2,6 +2,7 @@
 """The factors of a posterior precision: double for covariances, single if an error of a thousandth is acceptable."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +24,7 @@ class Factors:
     @classmethod
     def of(cls, factor: CholeskyFactor) -> "Factors":
         """One factor for everything."""
-        return cls(lambda _: factor, factor)
+        return cls(partial(_same, factor), factor)
 
     @classmethod
     def gone(cls) -> "Factors":
@@ -55,6 +56,10 @@ class Factors:
         self._made[precision] = factor
         if factor.precision == np.float64:
             self._made[np.float64] = factor
+
+
+def _same(factor: CholeskyFactor, _: type[np.floating]) -> CholeskyFactor:
+    return factor
 
 
 def _refuse(_: type[np.floating]) -> CholeskyFactor:

@@ -22,7 +22,7 @@ from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
 from magmatch.slam.search.bases import BaseMaker
-from magmatch.slam.sensor_bias import without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 
@@ -80,7 +80,9 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
 def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     stated, config = (SlamConfig.model_validate(content[key]) for key in ("stated", "config"))
     biases = [(np.array(b), np.array(sd)) for b, sd in content["biases"]]
-    unbiased = [without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)]
+    unbiased = [
+        without_bias(in_one_calibration(survey), bias) for survey, (bias, _) in zip(given, biases, strict=True)
+    ]
     paths = cut(unbiased, content["length"], config)
     graph = odometry_graph(paths, config)
     graph.R, graph.p, graph.level, graph.lasting = (np.array(content[k]) for k in ("R", "p", "level", "lasting"))
