@@ -21,7 +21,7 @@ from magmatch.slam.refine.refine import refine
 from magmatch.slam.search.bases import BaseMaker, Run
 from magmatch.slam.search.predicted import SURE
 from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
-from magmatch.slam.shared_numbers import guessed_noise, shared_numbers
+from magmatch.slam.shared_numbers import N_PARTS, guessed_noise, shared_numbers
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import cut
 from magmatch.threads import one_blas_thread
@@ -48,15 +48,15 @@ def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
     return config.model_copy(update={"is_planar": True})
 
 
-def begin(given: Sequence[Survey], config: SlamConfig) -> Places:
-    """Logs cut into windows, as odometry has them, and the numbers of the field that they share."""
+def begin(given: Sequence[Survey], config: SlamConfig, n_parts: int = N_PARTS) -> Places:
+    """Logs cut into windows, as odometry has them, and numbers of the field, from so many parts."""
     if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
         # Nothing tells places apart, and the field has no length.
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
         return Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given))
     tell("learning how the field changes")
     given = [in_one_calibration(survey) for survey in given]
-    numbers, length, measured = shared_numbers(given)
+    numbers, length, measured = shared_numbers(given, n_parts)
     biases = [sensor_bias(survey, numbers, config) for survey in given]
     paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
     n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length

@@ -103,7 +103,8 @@ class LiveLog:
             return False  # it stands, or has seen too little
         require_survey(survey, name="log")
         with one_blas_thread():
-            places = begin([survey], settled([survey], self.config))
+            # Every other part: it is learned from soon again.
+            places = begin([survey], settled([survey], self.config), N_PARTS // 2)
             if places.maker is None:
                 return False  # nothing tells places apart
             if len(places.paths[0].windows) >= N_PARTS:

@@ -30,7 +30,7 @@ MOST_CUTS = 4
 TUBE_LENGTH, N_POINTS, SILENT = 6.0, 20, 1e5
 
 
-def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float, float]:
+def shared_numbers(surveys: Sequence[Survey], n_parts: int = N_PARTS) -> tuple[Hyperparameters, float, float]:
     """Median numbers of short parts with an amplitude that holds for all, and their median correlation length (m).
 
     The third is the mean squared gradient of all paths, noise included (`squared_gradient`).
@@ -40,9 +40,9 @@ def shared_numbers(surveys: Sequence[Survey]) -> tuple[Hyperparameters, float, f
     # Who stands sees nothing of how the field changes; where all stand, their jitter is their path.
     moved = [(survey, path) for survey in surveys if (path := path_moved(survey.positions))[-1] > 0]
     moved = moved or [(survey, path_walked(survey.positions)) for survey in surveys]
-    n_parts = max(N_PARTS // len(moved), 2)
+    n_each = max(n_parts // len(moved), 2)
     for survey, walked in moved:
-        for middle in (np.arange(n_parts) + 0.5) / n_parts:
+        for middle in (np.arange(n_each) + 0.5) / n_each:
             # What the parts before showed is where the next begins: most fit at once.
             known = float(np.median([h.lengthscale for h in found])) if found else np.inf
             part = min(walked[-1] / N_PARTS, PART_LENGTH * known)
