@@ -152,7 +152,7 @@ def test_one_file_of_poses_is_not_taken_for_several_surveys(run, place, tmp_path
         done = run(*words, *files, "--trajectory", "p.tum", "--out", tmp_path / "out")
         assert done.code == 2
         assert "a single SURVEY" in done.err
-        assert "magmatch convert" in done.err
+        assert "magmatch convert SURVEY SURVEY_POSED.csv --trajectory POSES" in " ".join(done.err.split())
 
 
 def test_merge_takes_two_at_least(run, place, tmp_path):

@@ -55,6 +55,36 @@ def test_a_jump_is_found_where_it_is_and_measured(row, step, seed):
     np.testing.assert_allclose(joined, plain, atol=2.5 * UT)
 
 
+def posed(n, positions, readings_of):
+    """A log of a sensor that does not turn; readings of its places."""
+    survey = Survey(positions, readings_of(positions), 0.05 * np.arange(n), Rotation.identity(n))
+    return SensorLog.of(survey)
+
+
+def wavy(x, noise=0.3 * UT):
+    """A field of 5 uT that changes over a metre."""
+    rng = np.random.default_rng(0)
+    b = np.array([18, 3, -45]) * UT + 5 * UT * np.column_stack([np.sin(x), np.cos(1.3 * x), np.sin(2 * x)])
+    return b + rng.normal(0, noise, (len(x), 3))
+
+
+def test_readings_that_are_held_hide_no_jump_and_are_none():
+    n = 1200
+    x = 0.01 * np.arange(n)
+    held = wavy(x)[np.arange(n) // 10 * 10]
+    log = posed(n, np.column_stack([x, 0 * x, 0 * x]), lambda _: held)
+    assert len(find_recalibrations(log)) == 0
+    jumped = held + np.where(np.arange(n)[:, None] < 600, 0, [12e-6, 0, 0])
+    found = find_recalibrations(posed(n, np.column_stack([x, 0 * x, 0 * x]), lambda _: jumped))
+    assert found.rows.tolist() == [600]
+
+
+def test_a_carrier_that_stops_and_goes_does_not_recalibrate_its_sensor():
+    n = 600
+    x = 0.6 * (np.arange(n) // 12)
+    assert len(find_recalibrations(posed(n, np.column_stack([x, 0 * x, 0 * x]), lambda p: wavy(p[:, 0])))) == 0
+
+
 @given(seed=st.integers(0, 200))
 @settings(max_examples=40, deadline=None)
 def test_none_is_found_in_a_log_without(seed):

@@ -25,7 +25,7 @@ def feed(session, log, rows=None):
 @pytest.fixture(scope="module")
 def walked():
     """A log three times round, live and then finished, and what was known on the way."""
-    log, truth = drifting_walk(Place(1), 1, laps=2.2)
+    log, truth = drifting_walk(Place(1), 1, laps=2.6)
     session = mm.Session()
     poses = feed(session, log)
     on_the_way = session.result()
@@ -63,6 +63,37 @@ def test_samples_that_lie_close_do_not_make_the_field_look_short():
     session.finish("walk.csv")
     assert live.status == "connected"
     assert 0.7 < length / session.paths[0].windows[0].length < 1.4
+
+
+def test_noise_is_not_taken_for_a_field_that_changes_fast():
+    # 1 cm apart, 1 uT of noise: of 3 m a length of 4 cm was learned, and kept.
+    angle = 0.01 * np.arange(4600) / 3.3
+    path, heading = loop(angle)
+    rng, R = np.random.default_rng(0), about_z(heading)
+    field = Place(1).field(path) + 1e-6 * rng.standard_normal(path.shape)
+    session = mm.Session()
+    feed(session, mm.Survey(path, field, times=0.01 * np.arange(len(path)), orientations=R, name="walk.csv"))
+    assert session.paths[0].windows[0].length > 0.4
+    assert session.result().status == "connected"
+
+
+def test_calibrations_that_are_found_late_do_not_move_what_was_walked():
+    # The sensor gets faster on the way: which jumps stand out changes, as they are found anew.
+    log, _ = drifting_walk(Place(1), 1, laps=3)
+    times = np.cumsum(np.where(np.arange(len(log)) < 350, 0.1, 0.02))
+    rows = np.arange(len(log))[:, None]
+    steps = sum(np.where(rows < row, 0.0, step) for row, step in [(60, 9e-6), (120, -15e-6), (500, 8e-6)])
+    session = mm.Session()
+    feed(session, replace(log, times=times, field=log.field + log.orientations.apply(steps * np.ones(3))))
+    assert session.result().odometry["logs"]["live"]["recalibrations"]
+
+
+def test_a_log_of_constant_field_is_followed_by_no_live_one():
+    n = 300
+    flat = mm.Survey(np.column_stack([0.05 * np.arange(n), np.zeros((n, 2))]), np.full((n, 3), 3e-5), name="flat.csv")
+    session = mm.slam(flat)
+    with pytest.raises(ValueError, match="constant"):
+        session.add(0.0, RigidTransform.identity(), [3e-5, 0, 0])
 
 
 def test_a_phone_that_recalibrates_itself_on_the_way_still_finds_what_it_passes_again():

@@ -169,6 +169,12 @@ def test_the_published_method_knows_no_covariance(surveys):
         merge(surveys, PRESETS["paper"])
 
 
+def replace_domain(survey):
+    """Settings of a map of half of a survey's box."""
+    low, high = survey.positions.min(axis=0), survey.positions.max(axis=0)
+    return PRESETS["default"].field.model_copy(update={"domain": (*low, *(low + 0.6 * (high - low)))})
+
+
 def shuffled(function, tasks):
     """Stands for other processes: tasks come as bytes, none shares anything with another."""
     return [function(task) for task in list(tasks)]
@@ -202,7 +208,10 @@ def test_an_interrupted_merge_goes_on_where_it_stopped(session, surveys, tmp_pat
     assert len(made) == 6
     np.testing.assert_array_equal(again.graph.p, session.graph.p)
     np.testing.assert_array_equal(again.graph.R, session.graph.R)
-    # What was kept of other surveys is not taken.
+    # What was kept of other surveys is not taken, nor of other maps of the same.
     made.clear()
     merge(surveys[:2], keep=tmp_path / "kept")
     assert len(made) == 1
+    mapped = build_map(surveys[0], replace_domain(surveys[0]))
+    merge([mapped, surveys[1]], keep=tmp_path / "kept")
+    assert len(made) == 2

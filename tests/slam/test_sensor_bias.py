@@ -101,7 +101,7 @@ def test_a_phone_that_recalibrates_itself_is_taken_as_it_was_for_the_longest_tim
         moved, np.tile(step if row < len(log) / 2 else np.zeros(3), (len(log), 1)), atol=1.5e-6
     )
     assert in_one_calibration(log) is log
-    # The first piece's calibration, if that is asked for.
+    # The first sample's calibration, if that is asked for.
     first = in_one_calibration(recalibrated(log, row, step), 0)
     np.testing.assert_allclose(first.field[:row], log.field[:row], atol=1e-15)
 

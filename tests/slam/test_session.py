@@ -272,7 +272,8 @@ def test_what_is_no_log_is_refused_in_one_sentence(lone):
     [
         ({"anchors": [("walk", 1.0)]}, TypeError, r"anchors\[0\]"),
         ({"run": 3}, TypeError, "run: expected a callable"),
-        ({"keep": "no/such/folder"}, ConfigurationError, "keep: the folder .*no/such does not exist"),
+        ({"keep": "no/such/folder"}, ConfigurationError, "keep: the folder .*such does not exist"),
+        ({"keep": __file__}, ConfigurationError, "is a file, expected the name of a folder"),
     ],
 )
 def test_options_that_cannot_be_are_refused_before_any_work(lone, given, kind, said):

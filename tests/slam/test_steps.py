@@ -68,3 +68,10 @@ def test_a_step_that_found_nothing_was_taken_too(tmp_path, empty):
     taken(steps, [empty, empty])
     steps.keep()
     assert taken(Steps(tmp_path / "kept", of=1), [empty, empty, np.eye(2)])[1] == [2]
+
+
+def test_what_somebody_else_put_there_stays(tmp_path):
+    (tmp_path / "mine.txt").write_text("precious")
+    Steps(tmp_path, of=1)(lambda: np.ones((1, 1)))
+    Steps(tmp_path, of=2)
+    assert (tmp_path / "mine.txt").read_text() == "precious"

@@ -59,7 +59,7 @@ def require_own_poses(paths: Sequence[Path], layouts: Layouts, what: str) -> Non
     from magmatch.data.formats.sniff import sniff
 
     if layouts.of().trajectory is not None and sum(sniff(path) != "map" for path in paths) > 1:
-        each = f"magmatch convert {what} --trajectory POSES --out {what}.csv"
+        each = f"magmatch convert {what} {what}_POSED.csv --trajectory POSES"
         refuse("--trajectory", f"a single {what}, whose poses it holds (else first: {each})", f"{len(paths)}")
 
 

@@ -22,4 +22,6 @@ def processes(jobs: int, scheduler: str | None, ahead: int = 1) -> "Iterator[Das
     if scheduler is not None and "://" not in scheduler:
         refuse("--scheduler", "an address such as tcp://10.0.0.1:8786", scheduler)
     with DaskRunner(jobs, scheduler, ahead) as run:
+        if scheduler is not None:
+            _ = run.client  # before long work, whether it answers
         yield run

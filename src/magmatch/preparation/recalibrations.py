@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from magmatch.preparation.blocks import CHANNEL, PIECE
 from magmatch.preparation.calibrate_on_map import Calibration
-from magmatch.preparation.disturbances import find_saturation
+from magmatch.preparation.disturbances import find_repeats, find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.typing import Indices, Scalars, Vector3, Vectors
@@ -50,38 +50,53 @@ class Recalibrations:
         return int(np.bincount(self.piece_of(n)).argmax())
 
     def joined(self, log: SensorLog, to: int | None = None) -> SensorLog:
-        """The log with all pieces moved, by the jumps as measured, to one of them, by default the longest."""
+        """The log with all pieces moved, by the jumps as measured, to a reading's, by default to the longest."""
+        piece = self.piece_of(len(log))
         offsets = np.vstack([np.zeros(3), np.cumsum(self.steps, axis=0)])
-        offsets -= offsets[self.longest(len(log)) if to is None else to]
-        return replace(log, readings=log.readings - offsets[self.piece_of(len(log))])
+        offsets -= offsets[self.longest(len(log)) if to is None else piece[to]]
+        return replace(log, readings=log.readings - offsets[piece])
 
 
 NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 
 
 def find_recalibrations(log: SensorLog) -> Recalibrations:
-    """Jumps that stand out from all changes around them and last; none in a log without times."""
-    n = len(log)
-    if log.times is None or n < 4 * NEIGHBOURS:
+    """Jumps that stand out from all changes around them and last; none in a log without times.
+
+    They must be the field's alone: where the carrier jumps as well, the field may, too.
+    """
+    field = log.orientations.apply(log.readings)
+    # A reading that is held says nothing of how the field changes, whether it is turned with the carrier or not.
+    new = np.flatnonzero(~(find_repeats(log.readings) | find_repeats(field)))
+    if len(new) < len(log):
+        found = find_recalibrations(log.subset(new))
+        return replace(found, rows=new[found.rows])
+    if log.times is None or len(log) < 4 * NEIGHBOURS:
         return NO_CUTS
     # In the survey's frame, so that turning is no change of the field; walking changes it evenly.
-    changes = np.diff(log.orientations.apply(log.readings), axis=0)
+    changes = np.diff(field, axis=0)
     changes = changes - median_filter(changes, size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
-    change = np.linalg.norm(changes, axis=1)
-    before = maximum_filter1d(change, NEIGHBOURS, origin=NEIGHBOURS // 2 - 1, mode="constant", cval=np.inf)
-    after = maximum_filter1d(change, NEIGHBOURS, origin=-(NEIGHBOURS // 2), mode="constant", cval=np.inf)
-    beside = np.full(n - 1, np.inf)
-    beside[1:-1] = np.maximum(before[:-2], after[2:])
+    change, step = np.linalg.norm(changes, axis=1), np.linalg.norm(np.diff(log.positions, axis=0), axis=1)
     intervals = np.diff(log.times)
     # The end of the sensor's range holds readings still, and lets them go at once.
     is_free = ~find_saturation(log.readings)
     is_jump = is_free[1:] & is_free[:-1] & (change > SMALLEST)
-    is_jump &= (change > TIMES_LARGER * beside) & (intervals < GAP * np.median(intervals))
+    is_jump &= (change > TIMES_LARGER * _most_beside(change)) & (step <= TIMES_LARGER * _most_beside(step))
+    is_jump &= intervals < GAP * np.median(intervals)
     candidates = [(row, _step(log, row)) for row in (np.flatnonzero(is_jump) + 1).tolist()]
     lasting = [(row, step) for row, step in candidates if np.linalg.norm(step) > LASTING * change[row - 1]]
     largest = sorted(sorted(lasting, key=lambda found: -float(np.linalg.norm(found[1])))[:MOST], key=lambda f: f[0])
     rows = np.array([row for row, _ in largest], dtype=np.int64)
     return Recalibrations(rows, np.array([step for _, step in largest]).reshape(-1, 3))
+
+
+def _most_beside(changes: Scalars) -> Scalars:
+    """Of each change the largest of its neighbours on either side; endless at the ends."""
+    before = maximum_filter1d(changes, NEIGHBOURS, origin=NEIGHBOURS // 2 - 1, mode="constant", cval=np.inf)
+    after = maximum_filter1d(changes, NEIGHBOURS, origin=-(NEIGHBOURS // 2), mode="constant", cval=np.inf)
+    beside = np.full(len(changes), np.inf)
+    beside[1:-1] = np.maximum(before[:-2], after[2:])
+    return beside
 
 
 def _step(log: SensorLog, row: int) -> Vector3:

@@ -17,14 +17,15 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import begin, settled
 from magmatch.slam.places import Places
 from magmatch.slam.search.candidates import Candidate
-from magmatch.slam.sensor_bias import in_one_calibration, recalibrations_of, without_bias
+from magmatch.slam.sensor_bias import in_longest_piece, in_one_calibration, without_bias
 from magmatch.slam.shared_numbers import N_PARTS
 from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Scalars, Vector3, Vectors
 
-# Samples from which it is first learned how the field changes: of fewer, parts would show nothing.
-FIRST_SAMPLES = N_PARTS * FEWEST_SAMPLES
+# Samples from which it is first learned how the field changes: of fewer, parts would show nothing. Learned from twice
+# as many, its length is another if it is so many times as long, and not by chance.
+FIRST_SAMPLES, LONGER = N_PARTS * FEWEST_SAMPLES, 1.5
 
 
 class LiveLog:
@@ -45,8 +46,8 @@ class LiveLog:
         # Samples that lie in windows; path since then, and the place it was measured to.
         self._n_cut, self._walked = 0, 0.0
         self._here = np.zeros(3)
-        # The piece whose calibration all have, of those between which the magnetometer recalibrated itself.
-        self._piece = 0
+        # All are given the calibration that the magnetometer had at this sample.
+        self._calibrated_at = 0
         # Candidates of the last windows: near, and on other logs.
         self._near: list[list[Candidate]] = []
         self._far: list[list[Candidate]] = []
@@ -93,8 +94,8 @@ class LiveLog:
     def _learn_field(self) -> bool:
         """Learn how the field changes, and search all that was walked with that; returns whether this was done.
 
-        A short path shows short lengths only. So it is learned again when the path has doubled, until each part that
-        it is learned from is as long as a window.
+        A short path shows short lengths only. So it is learned again from twice as many samples, until each part that
+        it is learned from is as long as a window, and the field's length no longer grows.
         """
         self._next_field = 2 * len(self._t)
         survey = self.survey()
@@ -103,14 +104,15 @@ class LiveLog:
             return False  # it stands, or has seen too little
         require_survey(survey, name="log")
         with one_blas_thread():
-            # Every other part: it is learned from soon again.
+            # From half of the parts: it is soon learned again.
             places = begin([survey], settled([survey], self.config), N_PARTS // 2)
             if places.maker is None:
                 return False  # nothing tells places apart
-            if len(places.paths[0].windows) >= N_PARTS:
+            known = 0.0 if self.places is None or self.places.maker is None else self.places.maker.length
+            if len(places.paths[0].windows) >= N_PARTS and places.maker.length < LONGER * known:
                 self._next_field = np.inf
             self.places, self._path, self._near = places, places.paths[0], []
-            self._piece = _longest_piece(survey)
+            self._calibrated_at = in_longest_piece(survey)
             places.solve()
             places.close_near([self._path])
             self._next_noise = PRIOR_STRETCHES
@@ -131,7 +133,7 @@ class LiveLog:
             return False
         with one_blas_thread():
             if self._path is None:
-                self._path, self._piece = places.add(survey := self.survey()), _longest_piece(survey)
+                self._path, self._calibrated_at = places.add(survey := self.survey()), in_longest_piece(survey)
             else:
                 self._path = places.paths[-1] = self._longer(self._path, places)
                 places.solve()
@@ -146,7 +148,7 @@ class LiveLog:
         """The path with one window more."""
         assert places.maker is not None
         bias, length = places.biases[-1][0], places.maker.length
-        whole = without_bias(in_one_calibration(self.survey(), self._piece), bias)
+        whole = without_bias(in_one_calibration(self.survey(), self._calibrated_at), bias)
         part = whole.subset(np.arange(len(whole)) >= self._n_cut)
         step = np.linalg.norm(whole.positions[self._n_cut] - whole.positions[self._n_cut - 1])
         walked = path.walked[-1] + step + walked_along(part, BIN_LENGTH * length)
@@ -184,10 +186,6 @@ class LiveLog:
             places.learn_drift()
             self._path = places.paths[-1]
             self._next_noise = 2 * len(places.graph.closures)
-
-
-def _longest_piece(survey: Survey) -> int:
-    return recalibrations_of(survey).longest(len(survey))
 
 
 def _is_one_slope(field: Vectors, walked: Scalars) -> bool:

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path as FilePath
 
@@ -30,7 +30,7 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
 from magmatch.slam.search.bases import Run
-from magmatch.slam.session import Session, require_distinct
+from magmatch.slam.session import Session, names_of, require_distinct
 from magmatch.slam.statement import covariance_about
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window, mean_field
@@ -90,10 +90,11 @@ def merge(
         raise ConfigurationError(msg)
     samples, clock = [survey_of(survey) for survey in given], Clock()
     require_distinct(samples)
+    elsewhere = None if run is None else bit_for_bit(run)
     steps = Steps(
         keep, version=__version__, config=config.model_dump(mode="json"), seed=seed,
         inputs=[describe_input(survey) for survey in samples],
-        maps=[repr(one.hyperparameters) if isinstance(one, FieldMap) else None for one in given],
+        maps=[_of_map(one) if isinstance(one, FieldMap) else None for one in given],
     )  # fmt: skip
     with followed(progress), one_blas_thread():
         with clock("maps"):
@@ -102,13 +103,19 @@ def merge(
         graph = _unconnected(np.stack([survey.centroid for survey in samples]))
         with clock("registration"):
             try:
-                graph.closures = _register_pairs(maps, samples, config, seed, steps, run)
+                graph.closures = _register_pairs(maps, samples, config, seed, steps, elsewhere)
             finally:
                 steps.keep()
         with clock("graph"):
             _lay_out(graph)
             solve(graph)
     return Session(config, samples, Places(paths, graph, graph.config), clock.seconds(), seed, is_rigid=True)
+
+
+def _of_map(field_map: FieldMap) -> list[object]:
+    """What a map is of, beside its samples."""
+    T = field_map.T_domain_model.as_matrix().tolist()
+    return [field_map.config.model_dump(mode="json"), asdict(field_map.hyperparameters), T]
 
 
 def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
@@ -138,7 +145,7 @@ def _register_pairs(
     run: Run | None,
 ) -> list[Closure]:  # fmt: skip
     """Closures between all pairs that registration accepts, a step each."""
-    pairs = list(combinations(range(len(maps)), 2))
+    pairs, names = list(combinations(range(len(maps)), 2)), names_of(samples)
     new = pairs[steps.n_kept :]
 
     def tasks() -> Iterator[_Pair]:
@@ -147,13 +154,13 @@ def _register_pairs(
             # Each base is prepared once, or by whoever takes the pair.
             if run is None and (index is None or index.field_map is not maps[a]):
                 index = prepare_index(maps[a], config)
-            yield _Pair(f"{samples[a].name} and {samples[b].name}", index or maps[a], maps[b], config, seed)
+            yield _Pair(f"{names[a]} and {names[b]}", index or maps[a], maps[b], config, seed)
 
-    found = map(_register, tasks()) if run is None else bit_for_bit(run)(_register, tasks())
+    found = iter((run or map)(_register, tasks()))
     closures: list[Closure] = []
     for a, b in counted("registering pairs", pairs):
         rows = steps(lambda: next(found))
-        log.info("%s and %s: %s", samples[a].name, samples[b].name, "tied" if len(rows) else "not tied")
+        log.info("%s and %s: %s", names[a], names[b], "tied" if len(rows) else "not tied")
         closures += [_closure(a, b, row, samples[a], samples[b]) for row in rows]
     return closures
 

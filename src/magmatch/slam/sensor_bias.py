@@ -7,6 +7,7 @@ not separate from the constant, such as the vertical of a carrier that leans ali
 phone swings with each step separates nothing: what its attitude misses of the swing turns Earth's field.
 """
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,8 @@ from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Vector3
 
+log = logging.getLogger(__name__)
+
 # Of a phone or a robot that was not calibrated, T; weak against a hundred metres of path.
 BIAS_SD = 10e-6
 # Bins a lengthscale, and lengthscales a part.
@@ -34,12 +37,19 @@ def recalibrations_of(survey: Survey) -> Recalibrations:
     return NO_CUTS if survey.orientations is None else find_recalibrations(SensorLog.of(survey))
 
 
-def in_one_calibration(survey: Survey, piece: int | None = None) -> Survey:
-    """The survey with the calibration of one of the pieces between which it jumps, by default of the longest."""
+def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
+    """The survey with the calibration that the magnetometer had at a sample, by default for the longest time."""
     found = recalibrations_of(survey)
     if survey.orientations is None or not len(found):
         return survey
-    return replace(survey, field=survey.orientations.apply(found.joined(SensorLog.of(survey), piece).readings))
+    log.info("%s: recalibrations of the magnetometer are taken out: %d", survey.name, len(found))
+    return replace(survey, field=survey.orientations.apply(found.joined(SensorLog.of(survey), sample).readings))
+
+
+def in_longest_piece(survey: Survey) -> int:
+    """A sample whose calibration the magnetometer had for the longest time."""
+    found, every = recalibrations_of(survey), np.arange(len(survey))
+    return int(np.median(every[found.piece_of(len(survey)) == found.longest(len(survey))]))
 
 
 def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:

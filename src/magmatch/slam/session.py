@@ -182,6 +182,9 @@ class Session:
             The time does not increase, or a number is not finite; the sample is not added.
         """
         if self._live is None:
+            if self.places is not None and self.places.maker is None:
+                msg = "the earlier logs' field is constant, so nothing can be compared with it; begin a new Session"
+                raise ValueError(msg)
             self._live = LiveLog(self._of_slam(), self.places)
         if is_changed := self._live.add(t, T_odom_body, field):
             self._changed()
@@ -298,13 +301,18 @@ class Session:
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             state_anchors(anchors, self.graph, names),
-            Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, self.logs, names),
+            Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, self._as_measured(), names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,
             self.seed,
             tuple(describe_input(s) for s in self.logs),
         )
+
+    def _as_measured(self) -> list[Survey]:
+        """All logs before anything was taken off."""
+        live = [] if self._live is None or len(self.paths) == len(self.given) else [self._live.survey()]
+        return [*self.given, *live]
 
     def _bent(self) -> Window | None:
         """A window, where none keeps its shape."""

@@ -2,14 +2,15 @@
 """Intermediate results of a search for closures, stored so that an interrupted search can resume.
 
 A run always takes the same steps in the same order, so the n-th stored result is that of the n-th step. Results are
-stored as plain numbers, and are read back before use even without an interruption, so that the bits are the same.
+stored as plain numbers, from which those who ask make what they need with or without an interruption, so that the
+bits are the same.
 """
 
 import hashlib
 import json
 import logging
-import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -22,7 +23,7 @@ from magmatch.typing import Matrix
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.slam.steps/7"
+SCHEMA = "magmatch.slam.steps/8"
 MAX_BYTES = 256 * 1024**2
 # Seconds of work that a power cut may cost.
 KEEP_EVERY_S = 5.0
@@ -43,6 +44,9 @@ class Steps:
         if folder is not None:
             if not folder.resolve().parent.is_dir():
                 msg = f"keep: the folder {folder.resolve().parent} does not exist; create it first"
+                raise ConfigurationError(msg)
+            if folder.exists() and not folder.is_dir():
+                msg = f"keep: {folder} is a file, expected the name of a folder"
                 raise ConfigurationError(msg)
             self._read(folder)
         if self._kept:
@@ -85,4 +89,9 @@ class Steps:
             self._kept += document["results"]
         self._n_written = len(self._kept)
         if not self._kept:
-            shutil.rmtree(folder, ignore_errors=True)
+            # Of another input; whatever else lies there is somebody's.
+            for path in folder.glob("*.json"):
+                if path.stem.isdigit():
+                    path.unlink()
+            with suppress(OSError):
+                folder.rmdir()

@@ -26,7 +26,7 @@ from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 
-SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/6", "session of slam"
+SESSION, SCHEMA, WHAT = "session.json", "magmatch.slam.session/7", "session of slam"
 MAX_BYTES = 256 * 1024**2
 
 
