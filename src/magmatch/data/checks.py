@@ -137,7 +137,8 @@ def _unit_advice(median: float, layout: SurveyFormat | None) -> str:
     unit = likely_field_unit(number)
     if unit is None:
         return f"read as {layout.field_unit}, and no other known unit makes it ordinary: wrong columns?"
-    return f"read as {layout.field_unit}; if the file is in {unit}, use --field-unit {unit}"
+    advice = f"if the file is in {unit}, use --field-unit {unit} (files that differ: first 'magmatch convert' one)"
+    return f"read as {layout.field_unit}; {advice}"
 
 
 def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> None:
