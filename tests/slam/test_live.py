@@ -179,6 +179,20 @@ def test_a_robot_that_stands_stays_where_it_is():
         session.result()
 
 
+def test_who_stood_for_long_is_searched_soon_after():
+    log, _ = drifting_walk(Place(1), 1, laps=2.6)
+    rng, n = np.random.default_rng(0), 1500
+    stood = np.concatenate([np.zeros(n, np.int64), np.arange(len(log))])
+    jitter = np.where(np.arange(len(stood))[:, None] < n, 0.002 * rng.normal(size=(len(stood), 3)), 0.0)
+    walk = replace(
+        log.subset(np.arange(len(log))), positions=log.positions[stood] + jitter, field=log.field[stood],
+        orientations=log.orientations[stood], times=0.1 * np.arange(len(stood)),
+    )  # fmt: skip
+    session = mm.Session()
+    feed(session, walk)
+    assert session.result().status == "connected"
+
+
 def test_merged_surveys_take_no_log_that_drifts():
     session = mm.Session(PRESETS["default"])
     with pytest.raises(TypeError, match="merge"):

@@ -40,9 +40,10 @@ class LiveLog:
         self._b: list[Vector3] = []
         self._T_odom_body = RigidTransform.identity()
         self._path: Path | None = None
-        # Samples and closures from which more is learned; earlier logs have shown how the field changes.
-        self._next_field = FIRST_SAMPLES if places is None else np.inf
-        self._next_noise = PRIOR_STRETCHES
+        # Samples on the way from which the field is learned, and all when there may be so many; earlier logs have
+        # shown how it changes. Closures from which noise is learned.
+        self._next_field: float = FIRST_SAMPLES if places is None else np.inf
+        self._next_look, self._next_noise = self._next_field, PRIOR_STRETCHES
         # Samples that lie in windows; path since then, and the place it was measured to.
         self._n_cut, self._walked = 0, 0.0
         self._here = np.zeros(3)
@@ -74,7 +75,7 @@ class LiveLog:
         self._R.append(R.as_quat())
         self._b.append(R.apply(b))
         self._T_odom_body = T_odom_body
-        if len(self._t) >= self._next_field and self._learn_field():
+        if len(self._t) >= self._next_look and self._learn_field():
             return True
         return self.places is not None and self._walk(self.places)
 
@@ -97,11 +98,12 @@ class LiveLog:
         A short path shows short lengths only. So it is learned again from twice as many samples, until each part that
         it is learned from is as long as a window, and the field's length no longer grows.
         """
-        self._next_field = 2 * len(self._t)
         survey = self.survey()
         walked = path_moved(survey.positions)
-        if walked[-1] == 0 or _is_one_slope(survey.field, walked):
-            return False  # it stands, or has seen too little
+        n_moved = int((np.diff(walked) > 0).sum()) + 1
+        self._next_look = len(survey) + max(self._next_field - n_moved, FIRST_SAMPLES / N_PARTS)
+        if n_moved < self._next_field or _is_one_slope(survey.field, walked):
+            return False  # it stood, or has seen too little
         require_survey(survey, name="log")
         with one_blas_thread():
             # From half of the parts: it is soon learned again.
@@ -109,8 +111,9 @@ class LiveLog:
             if places.maker is None:
                 return False  # nothing tells places apart
             known = 0.0 if self.places is None or self.places.maker is None else self.places.maker.length
-            if len(places.paths[0].windows) >= N_PARTS and places.maker.length < LONGER * known:
-                self._next_field = np.inf
+            is_long = len(places.paths[0].windows) >= N_PARTS and places.maker.length < LONGER * known
+            self._next_field = np.inf if is_long else 2 * n_moved
+            self._next_look = len(survey) + self._next_field - n_moved
             self.places, self._path, self._near = places, places.paths[0], []
             self._calibrated_at = in_longest_piece(survey)
             places.solve()
