@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map answers alike however it is asked: at points, on grids, in a table, and in any frame."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -83,3 +85,11 @@ def test_draws_turn_with_the_map_and_scatter_about_its_mean(here, there):
         np.testing.assert_allclose(
             off[:, k].T @ off[:, k] / 300 / np.outer(sd, sd), covariance[k] / np.outer(sd, sd), atol=0.35
         )
+
+
+def test_a_map_that_was_pickled_says_the_same(there):
+    again = pickle.loads(pickle.dumps(there))
+    points = there.survey.positions[:40]
+    # A transform is brought to the nearest one whenever it is unpickled.
+    np.testing.assert_allclose(again.evaluate(points, 1).field, there.evaluate(points, 1).field, rtol=1e-12)
+    np.testing.assert_allclose(again.covariance(points), there.covariance(points), rtol=1e-9)
