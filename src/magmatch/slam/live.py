@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A live log: windows are completed as samples arrive, and closures of each are then searched for."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,14 @@ from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
 from magmatch.field.selection.spline_hyperparameters import FEWEST_SAMPLES
 from magmatch.geometry import path_moved
+from magmatch.preparation.recalibrations import NEIGHBOURS
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.find_places import begin, settled
 from magmatch.slam.places import Places
 from magmatch.slam.search.candidates import Candidate
-from magmatch.slam.sensor_bias import in_longest_piece, in_one_calibration, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.shared_numbers import N_PARTS
 from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread
@@ -26,6 +28,8 @@ from magmatch.typing import Scalars, Vector3, Vectors
 # Samples from which it is first learned how the field changes: of fewer, parts would show nothing. Learned from twice
 # as many, its length is another if it is so many times as long, and not by chance.
 FIRST_SAMPLES, LONGER = N_PARTS * FEWEST_SAMPLES, 1.5
+# Samples before a window that show what of it is a jump of the sensor's own calibration.
+LOOK_BACK = 4 * NEIGHBOURS
 
 
 class LiveLog:
@@ -47,8 +51,6 @@ class LiveLog:
         # Samples that lie in windows; path since then, and the place it was measured to.
         self._n_cut, self._walked = 0, 0.0
         self._here = np.zeros(3)
-        # All are given the calibration that the magnetometer had at this sample.
-        self._calibrated_at = 0
         # Candidates of the last windows: near, and on other logs.
         self._near: list[list[Candidate]] = []
         self._far: list[list[Candidate]] = []
@@ -115,7 +117,6 @@ class LiveLog:
             self._next_field = np.inf if is_long else 2 * n_moved
             self._next_look = len(survey) + self._next_field - n_moved
             self.places, self._path, self._near = places, places.paths[0], []
-            self._calibrated_at = in_longest_piece(survey)
             places.solve()
             places.close_near([self._path])
             self._next_noise = PRIOR_STRETCHES
@@ -136,7 +137,7 @@ class LiveLog:
             return False
         with one_blas_thread():
             if self._path is None:
-                self._path, self._calibrated_at = places.add(survey := self.survey()), in_longest_piece(survey)
+                self._path = places.add(self.survey())
             else:
                 self._path = places.paths[-1] = self._longer(self._path, places)
                 places.solve()
@@ -150,9 +151,14 @@ class LiveLog:
     def _longer(self, path: Path, places: Places) -> Path:
         """The path with one window more."""
         assert places.maker is not None
-        bias, length = places.biases[-1][0], places.maker.length
-        whole = without_bias(in_one_calibration(self.survey(), self._calibrated_at), bias)
-        part = whole.subset(np.arange(len(whole)) >= self._n_cut)
+        length = places.maker.length
+        # With a little of what is known, whose calibration the rest is given.
+        known = max(self._n_cut - LOOK_BACK, 0)
+        part = in_one_calibration(self.survey(known), 0)
+        assert part.orientations is not None
+        shift = part.orientations[0].inv().apply(part.field[0] - path.survey.field[known])
+        part = without_bias(part, shift).subset(np.arange(len(part)) >= self._n_cut - known)
+        whole = _joined(path.survey, part)
         step = np.linalg.norm(whole.positions[self._n_cut] - whole.positions[self._n_cut - 1])
         walked = path.walked[-1] + step + walked_along(part, BIN_LENGTH * length)
         middle = int(np.searchsorted(walked, (walked[0] + walked[-1]) / 2))
@@ -189,6 +195,21 @@ class LiveLog:
             places.learn_drift()
             self._path = places.paths[-1]
             self._next_noise = 2 * len(places.graph.closures)
+
+
+def _joined(before: Survey, after: Survey) -> Survey:
+    """Samples of a log, and those that follow."""
+    assert before.times is not None
+    assert after.times is not None
+    assert before.orientations is not None
+    assert after.orientations is not None
+    return replace(
+        before,
+        positions=np.concatenate([before.positions, after.positions]),
+        field=np.concatenate([before.field, after.field]),
+        times=np.concatenate([before.times, after.times]),
+        orientations=Rotation.concatenate([before.orientations, after.orientations]),
+    )
 
 
 def _is_one_slope(field: Vectors, walked: Scalars) -> bool:

@@ -46,12 +46,6 @@ def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
     return replace(survey, field=survey.orientations.apply(found.joined(SensorLog.of(survey), sample).readings))
 
 
-def in_longest_piece(survey: Survey) -> int:
-    """A sample whose calibration the magnetometer had for the longest time."""
-    found, every = recalibrations_of(survey), np.arange(len(survey))
-    return int(np.median(every[found.piece_of(len(survey)) == found.longest(len(survey))]))
-
-
 def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:
     """Bias of the magnetometer in its own axes, and its sd, T; zero where orientations are missing."""
     if survey.orientations is None:
