@@ -113,3 +113,10 @@ def test_slam_takes_the_jump_out_and_says_when_it_was():
     (said,) = session.result().odometry["logs"]["walk"]["recalibrations"]
     assert said["t"] == log.times[200]
     np.testing.assert_allclose(said["step"], [5e-6, -2e-6, 2e-6], atol=1.5e-6)
+
+
+def test_a_turn_that_the_attitude_missed_is_no_recalibration():
+    log, _ = drifting_walk(Place(1), 1)
+    missed = Rotation.from_rotvec(np.where(np.arange(len(log))[:, None] < 200, 0.0, [0.0, 0.0, np.radians(40)]))
+    turned = replace(log, field=missed.apply(log.field), orientations=missed * log.orientations)
+    assert in_one_calibration(turned) is turned

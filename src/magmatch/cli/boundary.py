@@ -32,8 +32,8 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
         sys.stdout.flush()
         narrator.finish()
     except (BrokenPipeError, SystemExit):  # typer exits by itself in this one case
-        # Whoever read our output has left; keep Python from complaining about it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # Whoever read our output has left.
+        _let_go_of_output()
         return READER_LEFT
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted(narrator)
@@ -43,8 +43,17 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
             traceback.print_exception(error)
         words, code = explain(error)
         say("magmatch: " + one_line(words))
+        try:
+            sys.stdout.flush()
+        except OSError:
+            _let_go_of_output()
         return code
     return outcome if isinstance(outcome, int) else DONE
+
+
+def _let_go_of_output() -> None:
+    """Keep Python from complaining at exit about what cannot be written."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def explain(error: Exception) -> tuple[str, int]:

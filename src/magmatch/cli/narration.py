@@ -129,4 +129,4 @@ def say(text: str) -> None:
 
 def put(text: str) -> None:
     """Put data on stdout."""
-    print(text)  # noqa: T201
+    print(text, flush=True)  # noqa: T201

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
-from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations
+from magmatch.preparation.recalibrations import NEIGHBOURS, NO_CUTS, TIMES_LARGER, Recalibrations, find_recalibrations
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.slam.config import SlamConfig
@@ -34,7 +34,20 @@ BINS, PART_LENGTH = 4, 25.0
 
 def recalibrations_of(survey: Survey) -> Recalibrations:
     """Where the magnetometer recalibrated itself; none where orientations are missing."""
-    return NO_CUTS if survey.orientations is None else find_recalibrations(SensorLog.of(survey))
+    if survey.orientations is None:
+        return NO_CUTS
+    found = find_recalibrations(SensorLog.of(survey))
+    are_none = [_is_turn(survey, row, step) for row, step in zip(found.rows.tolist(), found.steps, strict=True)]
+    return Recalibrations(found.rows[np.logical_not(are_none)], found.steps[np.logical_not(are_none)])
+
+
+def _is_turn(survey: Survey, row: int, step: Vector3) -> bool:
+    """Whether a jump is what a turn about the vertical would be that the attitude missed, but for a third."""
+    assert survey.orientations is not None
+    before = survey.field[max(row - NEIGHBOURS // 2, 0) : row].mean(axis=0)
+    after = before + survey.orientations[row].apply(step)
+    lasting = [np.hypot(*after[:2]) - np.hypot(*before[:2]), after[2] - before[2]]
+    return bool(TIMES_LARGER * np.linalg.norm(lasting) < np.linalg.norm(step))
 
 
 def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
