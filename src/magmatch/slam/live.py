@@ -103,7 +103,7 @@ class LiveLog:
         survey = self.survey()
         walked = path_moved(survey.positions)
         n_moved = int((np.diff(walked) > 0).sum()) + 1
-        self._next_look = len(survey) + max(self._next_field - n_moved, FIRST_SAMPLES / N_PARTS)
+        self._next_look = len(survey) + max(self._next_field - n_moved, FEWEST_SAMPLES)
         if n_moved < self._next_field or _is_one_slope(survey.field, walked):
             return False  # it stood, or has seen too little
         require_survey(survey, name="log")
@@ -201,15 +201,8 @@ def _joined(before: Survey, after: Survey) -> Survey:
     """Samples of a log, and those that follow."""
     assert before.times is not None
     assert after.times is not None
-    assert before.orientations is not None
-    assert after.orientations is not None
-    return replace(
-        before,
-        positions=np.concatenate([before.positions, after.positions]),
-        field=np.concatenate([before.field, after.field]),
-        times=np.concatenate([before.times, after.times]),
-        orientations=Rotation.concatenate([before.orientations, after.orientations]),
-    )
+    # One clock, which surveys that are merged need not have.
+    return replace(before.merged(after), name=before.name, times=np.concatenate([before.times, after.times]))
 
 
 def _is_one_slope(field: Vectors, walked: Scalars) -> bool:

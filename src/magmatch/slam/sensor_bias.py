@@ -37,8 +37,8 @@ def recalibrations_of(survey: Survey) -> Recalibrations:
     if survey.orientations is None:
         return NO_CUTS
     found = find_recalibrations(SensorLog.of(survey))
-    are_none = [_is_turn(survey, row, step) for row, step in zip(found.rows.tolist(), found.steps, strict=True)]
-    return Recalibrations(found.rows[np.logical_not(are_none)], found.steps[np.logical_not(are_none)])
+    lasting = [k for k in range(len(found)) if not _is_turn(survey, int(found.rows[k]), found.steps[k])]
+    return Recalibrations(found.rows[lasting], found.steps[lasting])
 
 
 def _is_turn(survey: Survey, row: int, step: Vector3) -> bool:

@@ -120,7 +120,7 @@ class Session:
         require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         for k, anchor in enumerate(listed):
-            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.Anchor(log, t, position, sd)")
+            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.slam.graph.anchors.Anchor")
         # Those of before may be given again.
         known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}
         passed = of_logs(listed, given, names_of(given))
