@@ -23,6 +23,7 @@ from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
 from magmatch.data.survey import Survey
+from magmatch.data.tables.pipes import at_rest
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError, SurveyError
 from magmatch.typing import Scalars
@@ -124,7 +125,7 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
     kind = sniff(path)
-    if kind == "phone" and layout.columns and Path(path).is_file():
+    if kind == "phone" and layout.columns and at_rest(path).is_file():
         kind = "csv"  # the user knows the columns better
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])

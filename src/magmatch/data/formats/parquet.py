@@ -15,6 +15,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, wanted_columns
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.text_rows import require_stated
@@ -89,9 +90,9 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
 
 def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scalars]:
     """Some columns, read in pieces."""
-    n_rows = file.metadata.num_rows
-    if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * path.stat().st_size):
-        message = f"declares {n_rows} rows in {path.stat().st_size} bytes, expected at most {MAX_ROWS}"
+    n_rows, size = file.metadata.num_rows, at_rest(path).stat().st_size
+    if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * size):
+        message = f"declares {n_rows} rows in {size} bytes, expected at most {MAX_ROWS}"
         raise DataFormatError(path, f"{message} and {MAX_ROWS_PER_BYTE} a byte")
     blocks: dict[str, list[Scalars]] = {name: [] for name in names}
     n_read = 0

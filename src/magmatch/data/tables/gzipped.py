@@ -5,10 +5,11 @@ import gzip
 import tempfile
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from magmatch.data.tables.pipes import at_rest
 from magmatch.errors import DataFormatError
 
 MAGIC = b"\x1f\x8b"
@@ -46,20 +47,19 @@ class GzipContent:
 @contextmanager
 def plain_file(path: str | Path) -> Iterator[Path]:
     """The file itself; for a gzip file a passing copy of its content, for readers that need to jump about in it."""
-    place = Path(path)
-    if not is_gzip(place):
-        yield place
-        return
-    with tempfile.TemporaryDirectory(prefix="magmatch-") as folder, place.open("rb") as packed:
-        copy = Path(folder) / (place.stem or "log")
-        content = GzipContent(path, packed, place.stat().st_size)
-        with copy.open("wb") as unpacked:
-            while piece := content.read(PIECE):
-                unpacked.write(piece)
+    place = copy = at_rest(path)
+    with ExitStack() as held:
+        if is_gzip(place):
+            folder = held.enter_context(tempfile.TemporaryDirectory(prefix="magmatch-"))
+            copy = Path(folder) / (place.stem or "log")
+            with place.open("rb") as packed, copy.open("wb") as unpacked:
+                content = GzipContent(path, packed, place.stat().st_size)
+                while piece := content.read(PIECE):
+                    unpacked.write(piece)
         try:
             yield copy
-        except DataFormatError as error:  # which speaks of the copy
-            if error.path != copy:
+        except DataFormatError as error:
+            if error.path != copy or copy == Path(path):
                 raise
             raise DataFormatError(path, error.message, line=error.line, column=error.column) from None
 
@@ -67,7 +67,7 @@ def plain_file(path: str | Path) -> Iterator[Path]:
 def is_gzip(path: Path) -> bool:
     """Whether this is a gzip file; what cannot be opened is none, and is refused where it is read."""
     try:
-        with path.open("rb") as stream:
+        with at_rest(path).open("rb") as stream:
             return stream.read(len(MAGIC)) == MAGIC
     except (OSError, ValueError):
         return False

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from magmatch.data.tables.gzipped import MAGIC, GzipContent
+from magmatch.data.tables.pipes import at_rest
 from magmatch.errors import DataFormatError
 
 # Faults of the name that was given; others are faults of the machine.
@@ -45,9 +46,9 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
 @contextmanager
 def _opened(path: str | Path) -> Iterator[BinaryIO | GzipContent]:
     """A regular file, open for reading; faults of its name in words."""
-    place = Path(path)
     if "\0" in str(path):
         raise DataFormatError(path, "holds a NUL character, expected the name of a file")
+    place = at_rest(path)
     try:
         mode = place.stat().st_mode
         if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):

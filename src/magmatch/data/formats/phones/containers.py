@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from magmatch.data.formats.phones.tables import MEMBERS, says_its_sensor, stem_of
+from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import is_folder, read_bytes
 from magmatch.errors import DataFormatError
 
@@ -27,10 +28,10 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
         names = sorted(entry.name for entry in place.iterdir())
         found = phone_tables(names, lambda name: head_of_file(place / name))
         yield {place / name: partial(_read_file, place / name) for name in found}
-    elif not zipfile.is_zipfile(path):
+    elif not zipfile.is_zipfile(at_rest(path)):
         yield {place: partial(_read_file, place)}
     else:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(at_rest(path)) as archive:
             refuse_strays(place, archive.namelist())
             found = phone_tables(plain_names(archive), lambda name: head_of_member(archive, name))
             total = sum(archive.getinfo(name).file_size for name in found)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What comes through an open pipe is read as the file it was, as often as it is asked for."""
+
+import gzip
+import os
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.data.survey import Survey
+from magmatch.data.tables import pipes
+from magmatch.data.tables.pipes import at_rest
+from magmatch.data.tables.tum import write_tum
+from magmatch.errors import DataFormatError
+
+pytestmark = pytest.mark.skipif(not os.path.isdir("/dev/fd"), reason="this system names no open pipes")  # noqa: PTH112
+
+
+@contextmanager
+def piped(content):
+    """Name of an open pipe through which the content comes, once, as of ``<(cat FILE)``."""
+    end, source = os.pipe()
+
+    def write():
+        try:
+            os.write(source, content) if len(content) < 65_536 else _write_all(source, content)
+        except BrokenPipeError:
+            pass
+        finally:
+            os.close(source)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        yield f"/dev/fd/{end}"
+    finally:
+        os.close(end)
+        writer.join()
+
+
+def _write_all(source, content):
+    with os.fdopen(os.dup(source), "wb") as stream:
+        stream.write(content)
+
+
+@pytest.fixture
+def walk():
+    rng = np.random.default_rng(0)
+    t = 100 + 0.5 * np.arange(600)
+    positions = np.column_stack([0.3 * t, np.sin(t), 0 * t])
+    return Survey(positions, rng.normal([2e-5, 0, -4e-5], 1e-6, (600, 3)), t)
+
+
+@pytest.mark.parametrize("kind", ["csv", "csv.gz", "parquet", "mcap"])
+def test_a_survey_of_any_format_comes_through_a_pipe(kind, walk, tmp_path):
+    pytest.importorskip({"parquet": "pyarrow", "mcap": "mcap"}.get(kind, "numpy"))
+    from magmatch.data.write import SURVEY_WRITERS
+
+    plain = tmp_path / f"walk.{kind.removesuffix('.gz')}"
+    SURVEY_WRITERS[plain.suffix](walk, plain)
+    content = gzip.compress(plain.read_bytes()) if kind.endswith("gz") else plain.read_bytes()
+    with piped(content) as name:
+        read, again = read_survey(name), read_survey(name)
+    np.testing.assert_array_equal(read.field, read_survey(plain).field)
+    np.testing.assert_array_equal(again.positions, read.positions)
+
+
+def test_field_and_trajectory_may_come_through_two_pipes(walk, tmp_path):
+    write_tum(tmp_path / "poses.tum", walk.times, walk.positions, np.tile([0.0, 0.0, 0.0, 1.0], (600, 1)))
+    rows = np.column_stack([walk.times, walk.field])
+    table = "\n".join(["t,bx,by,bz", *(",".join(map(repr, row)) for row in rows.tolist()), ""])
+    with piped(table.encode()) as field, piped((tmp_path / "poses.tum").read_bytes()) as poses:
+        read = read_survey(field, SurveyFormat(trajectory=poses))
+    np.testing.assert_allclose(read.positions, walk.positions, atol=1e-9)
+
+
+def test_faults_are_told_of_the_name_that_was_given():
+    with piped(b"x,y,z,bx,by,bz\n1,2,3,4,5,six\n") as name, pytest.raises(DataFormatError) as error:
+        read_survey(name)
+    assert str(error.value).startswith(f"{name}, line 2, column 'bz'")
+
+
+def test_an_endless_pipe_is_refused(monkeypatch):
+    monkeypatch.setattr(pipes, "MOST", 1000)
+    with piped(b"1,2,3\n" * 500) as name, pytest.raises(DataFormatError, match="more than 1000 bytes"):
+        read_survey(name)
+
+
+def test_a_pipe_with_a_name_of_its_own_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "walk.csv")
+    assert at_rest(tmp_path / "walk.csv") == tmp_path / "walk.csv"
+    with pytest.raises(DataFormatError, match="not a regular file"):
+        read_survey(tmp_path / "walk.csv")
