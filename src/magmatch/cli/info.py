@@ -59,7 +59,7 @@ def _of_phone(path: Path, layouts: Layouts) -> dict[str, Any]:
     """Sensors of a phone's log, and the survey that it gives with poses."""
     from magmatch.data.formats.phones.read import read_phone_log
 
-    log = read_phone_log(path, recover=layouts.of().recover)
+    log = read_phone_log(path, recover=layouts.of().recover, with_points=True)
     return _with_survey({"app": log.app, "topics": log.facts()}, path, layouts)
 
 

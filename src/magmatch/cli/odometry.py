@@ -20,7 +20,8 @@ EXAMPLES = (
 @command("odometry", EXAMPLES)
 def odometry(
     log: Annotated[
-        Path, typer.Argument(help="Phone's log: phyphox, Sensor Logger, GetSensorData, Android.", metavar="LOG")
+        Path,
+        typer.Argument(help="Phone's log: phyphox, Sensor Logger, GetSensorData, XYZ10, Android.", metavar="LOG"),
     ],
     out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
     step_scale: Annotated[
@@ -45,7 +46,7 @@ def odometry(
     if not 0.3 <= step_scale <= 3:
         refuse("--step-scale", "a number from 0.3 to 3", f"{step_scale:g}")
     if (kind := sniff(log)) != "phone":
-        words = f"is a {kind} file, expected a phone's log (phyphox, Sensor Logger, GetSensorData, Android)"
+        words = f"is a {kind} file, expected a phone's log (phyphox, Sensor Logger, GetSensorData, XYZ10, Android)"
         raise DataFormatError(log, words)
     config = OdometryConfig()
     config = config.model_copy(update={"weinberg_factor": step_scale * config.weinberg_factor})

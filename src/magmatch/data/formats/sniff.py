@@ -17,9 +17,10 @@ from magmatch.data.formats.phones.containers import (
     plain_names,
     refuse_strays,
 )
-from magmatch.data.formats.phones.getsensordata import is_getsensordata
 from magmatch.data.formats.phones.tables import is_phone_header
+from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.tables.gzipped import is_gzip
+from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import is_folder, read_bytes, text_lines
 from magmatch.data.tables.text_rows import is_number
 from magmatch.data.tables.tum import TUM_COLUMNS
@@ -92,7 +93,7 @@ def sniff(path: str | Path) -> FileKind:
     if head.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in {b"{", b"["}:
         _refuse_gzip(path, "JSON")
         return _sniff_json(path)
-    return "phone" if is_getsensordata(head) else _sniff_text(path, head)
+    return "phone" if text_log_of(head) else _sniff_text(path, head)
 
 
 def _refuse_gzip(path: str | Path, content: str) -> None:
@@ -138,7 +139,7 @@ def _sniff_folder(path: str | Path) -> FileKind:
 def _sniff_archive(path: str | Path) -> FileKind:
     """A zip archive is a map unless its members say otherwise."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(at_rest(path)) as archive:
             members = archive.namelist()
             has_tables = bool(phone_tables(plain_names(archive), lambda name: head_of_member(archive, name)))
     except BROKEN_ZIP:

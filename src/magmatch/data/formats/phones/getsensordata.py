@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, stream_of
-from magmatch.data.formats.phones.tagged_rows import TaggedRows
+from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, SurveyedPoints, stream_of
+from magmatch.data.formats.phones.tagged_rows import TaggedRows, lines_of
 
 APP = "GetSensorData"
 _TAGS: Mapping[str, Sensor] = {"MAGN": "field", "ACCE": "acceleration", "GYRO": "rate"}
 _NAMES = ("app time", "sensor time", "x", "y", "z")
+# Points that the walker marked: ``POSI;app s;counter;latitude;longitude;floor;building``.
+_POINT, _POINT_NAMES = "POSI", ("app time", "counter", "latitude", "longitude", "floor")
 _ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.]+;")
 # Sensors whose clocks differ by no more than this from the app's share one clock, s.
 ONE_CLOCK = 1.0
@@ -30,12 +32,7 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
     what the app's clock is ahead: of all sensors together where they share a clock.
     """
     rows = TaggedRows(path, _NAMES, recover=recover)
-    # The header holds whatever the phone's language writes; the rows are plain ASCII.
-    for i, line in enumerate(raw.decode("latin-1").splitlines(), start=1):
-        tag, _, rest = line.partition(";")
-        if tag in _TAGS:
-            rows.take(tag, i, rest.split(";")[: len(_NAMES)])
-    blocks = rows.blocks()
+    blocks = _take(rows, raw, _TAGS).blocks()
     ahead = {tag: float(np.median(block[:, 0] - block[:, 1])) for tag, (block, _) in blocks.items()}
     if ahead and max(ahead.values()) - min(ahead.values()) < ONE_CLOCK:
         ahead = dict.fromkeys(
@@ -47,3 +44,22 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
             values = block[:, 2:] * PER_UNIT[sensor]
             streams[sensor] = stream_of(path, f"{tag} rows", block[:, 1] + ahead[tag], values, lines)
     return streams
+
+
+def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
+    """Read the points that the walker marked, which have the app's times only."""
+    blocks = _take(TaggedRows(path, _POINT_NAMES, recover=recover), raw, (_POINT,)).blocks()
+    if _POINT not in blocks:
+        return None
+    block, lines = blocks[_POINT]
+    floors = tuple(np.unique(block[:, 4]).tolist())
+    return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0], block[:, 2:4], lines, floors, in_degrees=True)
+
+
+def _take(rows: TaggedRows, raw: bytes, tags: Collection[str]) -> TaggedRows:
+    """Collect the rows with some tags."""
+    for i, line in enumerate(lines_of(raw), start=1):
+        tag, _, rest = line.partition(";")
+        if tag in tags:
+            rows.take(tag, i, rest.split(";")[: len(rows.names)])
+    return rows

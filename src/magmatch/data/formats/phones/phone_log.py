@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from magmatch.data.geodesy import what_is_wrong
 from magmatch.errors import DataFormatError
-from magmatch.typing import Indices, Scalars, Vectors
+from magmatch.typing import Indices, Matrix, Scalars, Vectors
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +30,8 @@ MAX_STEP_BACK = 1.0
 # Readings (T, m/s^2, rad/s) and times (s) beyond these are damage, stated in docs/formats.md; phones read up to 5 mT,
 # 160 m/s^2 and 35 rad/s.
 LARGEST, LATEST = 1e5, 1e12
+# m; the frame of a plan, or a map's projection: no place on Earth is further from its equator and meridian.
+FARTHEST = 1e8
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # Median lengths of accelerations with gravity, in units of g: a phone in a hand is not in free fall.
 WITH_GRAVITY = (0.7, 1.3)
@@ -51,6 +54,41 @@ class Stream:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class SurveyedPoints:
+    """Points of a plan that the walker marked when passing them."""
+
+    times: Scalars  # (n,), s: on the log's clock
+    places: Matrix  # (n, 2): x, y (m) in the plan's frame, or latitude, longitude (deg)
+    in_degrees: bool
+    floors: tuple[float, ...]  # numbers of the floors that they lie on, as far as they are told
+    source: str  # the kind of row they came from
+    lines: Indices  # (n,): where they stand in the file
+
+    @classmethod
+    def checked(
+        cls,
+        path: Path,
+        source: str,
+        times: Scalars,
+        places: Matrix,
+        lines: Indices,
+        floors: tuple[float, ...] = (),
+        *,
+        in_degrees: bool = False,
+    ) -> "SurveyedPoints":
+        """Points whose numbers are possible; DataFormatError names the first that is not."""
+        for time, (x, y), line in zip(times, places, lines, strict=True):
+            wrong = what_is_wrong(np.array([x]), np.array([y])) if in_degrees else ""
+            if not in_degrees and max(abs(x), abs(y)) > FARTHEST:
+                wrong = f"found x, y of {x:g}, {y:g}, expected metres within {FARTHEST:g} of the origin"
+            if abs(time) > LATEST:
+                wrong = f"found a time of {time:g} s, expected one below {LATEST:g}"
+            if wrong:
+                raise DataFormatError(path, f"{source}: {wrong}", line=int(line))
+        return cls(times, places, in_degrees, floors, source, lines)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class PhoneLog:
     """Readings of a phone's sensors on one clock.
 
@@ -62,15 +100,18 @@ class PhoneLog:
         The app that wrote it.
     streams : dict of Sensor to Stream
         The requested sensors that exist.
+    points : SurveyedPoints, optional
+        Points that the walker marked, if they were asked for and there are any.
     """
 
     path: Path
     app: str
     streams: Mapping[Sensor, Stream]
+    points: SurveyedPoints | None = None
 
     def facts(self) -> list[dict[str, Any]]:
         """Source, sensor, count, rate and span of each stream, ready for JSON, as of the topics of a log."""
-        return [
+        facts: list[dict[str, Any]] = [
             {
                 "name": stream.source, "type": WORDS[sensor], "count": len(stream),
                 "rate": float(1 / np.median(np.diff(stream.times))) if len(stream) > 1 else None,
@@ -78,6 +119,13 @@ class PhoneLog:
             }
             for sensor, stream in self.streams.items()
         ]  # fmt: skip
+        if (points := self.points) is not None:
+            span = [float(points.times.min()), float(points.times.max())]
+            kind = f"surveyed points ({'latitude, longitude' if points.in_degrees else 'x, y in m'})"
+            facts.append(
+                {"name": points.source, "type": kind, "count": len(points.times), "rate": None, "span": span}
+            )
+        return facts
 
     def require(self, sensor: Sensor, what_for: str) -> Stream:
         """Readings of a sensor; DataFormatError where there are none."""

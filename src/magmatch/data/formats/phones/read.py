@@ -9,9 +9,9 @@ from typing import get_args
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.phones.containers import opened_tables
-from magmatch.data.formats.phones.getsensordata import APP, is_getsensordata, read_getsensordata
-from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
+from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream, SurveyedPoints
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
+from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import BROKEN_ZIP
 from magmatch.data.units import TESLA_PER_UNIT
@@ -22,7 +22,9 @@ logger = logging.getLogger(__name__)
 EVERY: tuple[Sensor, ...] = get_args(Sensor)
 
 
-def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, recover: bool = False) -> PhoneLog:
+def read_phone_log(
+    path: str | Path, wanted: Collection[Sensor] = EVERY, *, recover: bool = False, with_points: bool = False
+) -> PhoneLog:
     """Read the sensors of a phone's log, in tesla, m/s^2, rad/s and seconds.
 
     Parameters
@@ -33,18 +35,22 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
         Those to read; others cost no time.
     recover : bool
         Leave out rows without valid numbers, and log how many, instead of refusing (`DataFormatError`).
+    with_points : bool
+        Read the points that the walker marked, too.
     """
     try:
         with opened_tables(path) as tables:
             streams: dict[Sensor, Stream] = {}
-            apps = []
+            apps: list[str] = []
+            points: SurveyedPoints | None = None
             for place, read in tables.items():
                 hint = MEMBERS.get(stem_of(place.name))
                 if (hint and hint not in wanted) or set(wanted) <= streams.keys():
                     continue
                 raw = read()
-                if is_getsensordata(raw[:1_000_000]):
-                    app, found = APP, read_getsensordata(place, raw, wanted, recover=recover)
+                if (text := text_log_of(raw)) is not None:
+                    app, found = text.app, text.read(place, raw, wanted, recover=recover)
+                    points = text.points(place, raw, recover=recover) if with_points else None
                 else:
                     app, found = read_table_streams(place, raw, wanted, recover=recover)
                 streams = found | streams
@@ -53,7 +59,7 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
-    return PhoneLog(Path(path), apps[0] if apps else "unknown", streams)
+    return PhoneLog(Path(path), apps[0] if apps else "unknown", streams, points)
 
 
 def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> Recording:

@@ -2,6 +2,7 @@
 """Rows of numbers of several sensors in one text, each row named after its sensor."""
 
 import logging
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +12,11 @@ from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix
 
 logger = logging.getLogger(__name__)
+
+
+def lines_of(raw: bytes) -> list[str]:
+    """Lines of a log whose rows are plain ASCII, below a header of whatever the phone's language writes."""
+    return re.split("\r\n?|\n", raw.decode("latin-1"))
 
 
 class TaggedRows:

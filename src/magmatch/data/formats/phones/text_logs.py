@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Apps that write one text of rows, each row named after its sensor."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from magmatch.data.formats.phones import getsensordata, xyz10
+from magmatch.data.formats.phones.phone_log import Sensor, Stream, SurveyedPoints
+
+HEAD = 1_000_000  # bytes that decide
+
+
+@dataclass(frozen=True, slots=True)
+class TextLog:
+    """How the text of an app is told, and read."""
+
+    app: str
+    begins_like: Callable[[bytes], bool]
+    read: Callable[..., dict[Sensor, Stream]]
+    points: Callable[..., SurveyedPoints | None]
+
+
+TEXT_LOGS = (
+    TextLog(
+        getsensordata.APP,
+        getsensordata.is_getsensordata,
+        getsensordata.read_getsensordata,
+        getsensordata.points_of_getsensordata,
+    ),
+    TextLog(xyz10.APP, xyz10.is_xyz10, xyz10.read_xyz10, xyz10.points_of_xyz10),
+)
+
+
+def text_log_of(head: bytes) -> TextLog | None:
+    """Which app's text a file begins like, if any."""
+    return next((log for log in TEXT_LOGS if log.begins_like(head[:HEAD])), None)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Text logs of XYZ10's Indoor Location Competition: rows ``Unix ms, TYPE_SENSOR, values``, separated by tabs."""
+
+import re
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, SurveyedPoints, stream_of
+from magmatch.data.formats.phones.tagged_rows import TaggedRows, lines_of
+
+APP = "XYZ10"
+# Uncalibrated readings have the phone's own bias behind them, and most rows an accuracy: neither is used.
+_TAGS: Mapping[str, Sensor] = {
+    "TYPE_MAGNETIC_FIELD": "field", "TYPE_MAGNETIC_FIELD_UNCALIBRATED": "raw_field",
+    "TYPE_ACCELEROMETER": "acceleration", "TYPE_LINEAR_ACCELERATION": "linear_acceleration",
+    "TYPE_GRAVITY": "gravity", "TYPE_GYROSCOPE": "rate",
+}  # fmt: skip
+_POINT = "TYPE_WAYPOINT"
+_HEAD = re.compile(rb"(?m)^\d{10,}\tTYPE_[A-Z_]+\t")
+# Where a row follows another without a line end between, as in some of the published files.
+_JOINED = re.compile(r"(?=\d{13}\tTYPE_)")
+MS = 1e-3  # s
+
+
+def is_xyz10(head: bytes) -> bool:
+    """Whether a file begins like such a log."""
+    return (head.startswith(b"#") and _HEAD.search(head) is not None) or _HEAD.match(head) is not None
+
+
+def read_xyz10(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
+    """Read the sensors that are wanted, on the clock of the phone."""
+    blocks = _rows(path, raw, {tag for tag, sensor in _TAGS.items() if sensor in wanted}, "xyz", recover).blocks()
+    return {
+        _TAGS[tag]: stream_of(path, f"{tag} rows", block[:, 0] * MS, block[:, 1:] * PER_UNIT[_TAGS[tag]], lines)
+        for tag, (block, lines) in blocks.items()
+    }
+
+
+def points_of_xyz10(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
+    """Read the points that the walker marked: x and y in the frame of the floor's plan."""
+    block, lines = _rows(path, raw, {_POINT}, "xy", recover).blocks().get(_POINT, (None, None))
+    if block is None or lines is None:
+        return None
+    return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0] * MS, block[:, 1:], lines)
+
+
+def _rows(path: Path, raw: bytes, tags: Collection[str], axes: str, recover: bool) -> TaggedRows:
+    """Rows with some tags: time and values."""
+    names = ("time", *axes)
+    rows = TaggedRows(path, names, recover=recover)
+    for i, line in enumerate(lines_of(raw), start=1):
+        if line.startswith("#"):
+            continue
+        for row in _JOINED.split(line) if line.count("\tTYPE_") > 1 else (line,):
+            time, _, rest = row.partition("\t")
+            tag, *cells = rest.split("\t")
+            if tag in tags:
+                rows.take(tag, i, [time, *cells[: len(axes)]])
+    return rows
