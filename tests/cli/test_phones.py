@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from magmatch.cli.command import Layouts
+from magmatch.cli.slam import marked_points
+from magmatch.cli.walks import OpenedWalk, read_walk
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.read import read_survey
+from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
+from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.anchors import Anchor
 
 G, RATE = 9.81, 50.0
 
@@ -85,6 +93,106 @@ def test_slam_takes_a_raw_log_as_with_poses_by_odometry(export, tmp_path, run):
     moments = np.linspace(max(raw.times[0], posed.times[0]), min(raw.times[-1], posed.times[-1]), 50)
     at = [np.column_stack([np.interp(moments, t.times, x) for x in t.positions.T]) for t in (raw, posed)]
     np.testing.assert_allclose(*at, atol=0.05)
+
+
+def straight(t):
+    return Survey(np.column_stack([t, 0 * t, 0 * t]), np.ones((len(t), 3)) * 3e-5, t, name="walk.txt")
+
+
+def xyz10(folder, name, origin=(100.0, 50.0)):
+    """A walk as XYZ10's app writes it, with a waypoint of the plan at each turn: from east to west and back."""
+    t, sensors = readings()
+    start, tags = 1_574_568_614_840, {"TotalAcceleration": "ACCELEROMETER", "Gyroscope": "GYROSCOPE"}
+    tags["Magnetometer"] = "MAGNETIC_FIELD"
+    lines = ["#\tstartTime:1574568614708"]
+    for sensor, tag in tags.items():
+        for s, v in zip(t, sensors[sensor], strict=True):
+            lines.append("\t".join(map(str, [start + round(1e3 * s), f"TYPE_{tag}", *v, 3])))
+    # Steps go along the phone's upper end: y at first; turns of a half at 9 s and 14 s.
+    for s, along in ((-0.14, 0.0), (9.0, 5.5), (14.0, 0.0), (19.0, 5.5)):
+        x, y = origin
+        lines.append(f"{start + round(1e3 * s)}\tTYPE_WAYPOINT\t{x + along}\t{y}")
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text("\n".join([*lines, ""]))
+    return folder / name
+
+
+def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    xyz10(tmp_path / "floor", "one.txt")
+    xyz10(tmp_path / "floor", "two.txt", origin=(100.0, 80.0))
+    two = tmp_path / "floor" / "two.txt"
+    two.write_text(two.read_text().replace("\t18.", "\t19."))  # no log is given twice
+    (tmp_path / "floor" / "floor_info.json").write_text("{}")
+    outcome = run("slam", tmp_path / "floor", "--out", tmp_path / "out", "--json")
+    assert outcome.code == 0, outcome.err
+    assert "2 logs; not read: floor_info.json" in outcome.err
+    result = json.loads(outcome.out)
+    assert [(log["name"], log["component"], log["is_fixed"]) for log in result["logs"]] == [
+        ("one", 0, True),
+        ("two", 0, True),
+    ]
+    assert [a["log"] for a in result["anchors"]] == ["one"] * 4 + ["two"] * 4
+    for name, y in (("one", 50.0), ("two", 80.0)):
+        poses = Trajectory.load(tmp_path / "out" / f"{name}.tum")
+        at = np.interp(1_574_568_614.840 + 9.0, poses.times, np.arange(len(poses.times))).round().astype(int)
+        assert np.abs(poses.positions[at, :2] - [105.5, y]).max() < 0.6
+
+
+def test_without_waypoints_none_is_used(tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    outcome = run("slam", xyz10(tmp_path, "walk.txt"), "--no-waypoints", "--out", tmp_path / "out", "--json")
+    assert json.loads(outcome.out)["anchors"] == []
+    assert "--no-waypoints" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_localization_reads_no_surveyed_point(tmp_path):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    log = xyz10(tmp_path / "floor", "walk.txt")
+    known = read_walk(log, Layouts({}))
+    log.write_text("".join(line for line in log.read_text().splitlines(keepends=True) if "WAYPOINT" not in line))
+    np.testing.assert_array_equal(read_walk(log, Layouts({})).positions, known.positions)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("walk,1574568613,0,0,0,0.1", "points.csv, line 3: expected a time between"),
+        ("talk,1574568620,0,0,0,0.1", "points.csv, line 3: expected the name of a log (walk)"),
+        ("walk,1574568620,0,zero,0,0.1", "points.csv, line 3, column 'y'"),
+    ],
+)
+def test_tables_are_checked_before_a_log_is_dead_reckoned(row, said, tmp_path, run, monkeypatch):
+    monkeypatch.setattr("magmatch.preparation.odometry.dead_reckon.dead_reckon", lambda _: pytest.fail("too soon"))
+    log = xyz10(tmp_path, "walk.txt")
+    points = tmp_path / "points.csv"
+    points.write_text(f"log,t,x,y,z,sd\nwalk,1574568614.1,0,0,0,0.1\n{row}\n")
+    outcome = run("slam", log, "--anchors", points, "--out", tmp_path / "out")
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+def test_points_in_degrees_are_metres_about_the_first(tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    t, sensors = readings()
+    lines = ["% GetSensorData"]
+    for tag, name in (("ACCE", "TotalAcceleration"), ("GYRO", "Gyroscope"), ("MAGN", "Magnetometer")):
+        lines += [f"{tag};{s};{s};{x};{y};{z};3" for s, (x, y, z) in zip(t, sensors[name], strict=True)]
+    north = 1 / 111_200  # degrees a metre
+    lines += [f"POSI;{s};1;{49 + north * m};11;0;1" for s, m in ((0, 0.0), (9, 5.5), (14, 0.0), (19, 5.5))]
+    (tmp_path / "walk.txt").write_text("\n".join(lines))
+    outcome = run("slam", tmp_path / "walk.txt", "--out", tmp_path / "out", "--json")
+    assert outcome.code == 0, outcome.err
+    result = json.loads(outcome.out)
+    assert result["config"]["origin"] == [49, 11]
+    assert [round(a["position"][1], 1) for a in result["anchors"]] == [0, 5.5, 0, 5.5]
+    # Nothing ties a table in metres to the log's degrees, unless their origin is stated.
+    survey, points = straight(t), read_phone_log(tmp_path / "walk.txt", with_points=True)
+    walks = [OpenedWalk(tmp_path / "walk.txt", SurveyFormat(), survey, points)]
+    table = [Anchor("walk", 0.0, np.zeros(3), 0.1)]
+    for settings, n in ((SlamConfig(), 0), (SlamConfig(origin=(49.0, 11.0)), 4)):
+        assert len(marked_points(walks, [survey], [survey], table, settings)) == n
 
 
 def test_info_names_the_sensors_and_says_where_poses_come_from(export, run):

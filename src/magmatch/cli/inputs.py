@@ -2,10 +2,12 @@
 """Files that commands take: a survey or a saved map, recognised by content."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magmatch.cli.command import Layouts, flag_of
+from magmatch.cli.narration import say
 from magmatch.cli.option_values import refuse
 from magmatch.errors import ConfigurationError, DataFormatError
 
@@ -52,6 +54,40 @@ def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":
     from magmatch.data.read import read_poses
 
     return None if sniff(path) == "map" else read_poses(path, layouts.of())
+
+
+def logs_in(paths: Sequence[Path]) -> list[Path]:
+    """Logs as given; in place of a folder that is no log itself, the logs in it, by name.
+
+    Where there are logs of recorders or phones, tables beside them are none.
+    """
+    from magmatch.data.formats.phones.containers import is_hidden
+    from magmatch.data.formats.sniff import sniff
+    from magmatch.data.tables.text import is_folder
+
+    found: list[Path] = []
+    for path in paths:
+        kinds = {}
+        try:
+            sniff(path)
+        except DataFormatError:
+            if not is_folder(path):
+                raise
+            inside = [entry for entry in sorted(path.iterdir()) if not is_hidden(entry.name)]
+            for entry in inside:
+                with suppress(DataFormatError):
+                    kinds[entry] = sniff(entry)
+            logs = [entry for entry, kind in kinds.items() if kind in ("phone", "log")]
+            logs = logs or [entry for entry, kind in kinds.items() if kind in ("csv", "parquet", "mat")]
+            if not logs:
+                raise
+            rest = [entry.name for entry in inside if entry not in logs]
+            names = ", ".join(rest[:5]) + (", ..." if len(rest) > 5 else "")
+            say(f"{path}: {len(logs)} logs{f'; not read: {names}' if rest else ''}")
+            found += logs
+        else:
+            found.append(path)
+    return found
 
 
 def require_own_poses(paths: Sequence[Path], layouts: Layouts, what: str) -> None:

@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_poses_of, require_own_poses
+from magmatch.cli.inputs import logs_in, read_poses_of, require_own_poses
+from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.processes import processes
 from magmatch.cli.sessions import deliver, require_recording
 from magmatch.cli.settings import merged
-from magmatch.cli.walks import read_walk
+from magmatch.cli.walks import OpenedWalk, open_walk
 
 if TYPE_CHECKING:
+    from magmatch.data.survey import Survey
+    from magmatch.settings import Settings
     from magmatch.slam.config import SlamConfig
+    from magmatch.slam.graph.anchors import Anchor
 
 EXAMPLES = (
     "magmatch slam walk.csv --out corrected",
@@ -38,7 +42,8 @@ def slam(
     logs: Annotated[
         list[Path],
         typer.Argument(
-            help="Logs with odometry and field, each in its own frame; or a phone's raw logs.", metavar="LOG"
+            help="Logs with odometry and field, each in its own frame; or a phone's raw logs; or a folder of logs.",
+            metavar="LOG",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for trajectories, surveys, maps, graph, report and result.")],
@@ -56,8 +61,13 @@ def slam(
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of the logs is not up.")] = False,
     anchors: Annotated[
         Path | None,
-        typer.Option(help="Known positions of logs at given times: a table log,t,x,y,z,sd (s and m)."),
+        typer.Option(
+            help="Known positions of logs at given times: a table log,t,x,y,z,sd (s and m); or lat,lon for x,y."
+        ),
     ] = None,
+    no_waypoints: Annotated[
+        bool, typer.Option("--no-waypoints", help="Do not use surveyed points that a phone's log holds itself.")
+    ] = False,
     is_more: Annotated[
         bool,
         typer.Option(
@@ -77,44 +87,81 @@ def slam(
     One map is made of them. Where a log revisits a place, the field shows it. Such closures correct the poses and
     tie logs to each other.
 
-    If interrupted, the same command resumes where it stopped. With --anchors the frame is that of the fixed points,
-    if they determine it.
+    If interrupted, the same command resumes where it stopped. With --anchors, or where a phone's log holds surveyed
+    points, the frame is that of these fixed points, if they determine it; points in degrees become metres east and
+    north of the first.
 
     Exit code 0: all logs are in one frame (a single log: corrected); 3: not all, or nothing to correct. The result is
     written in either case.
     """
     from magmatch.data.logs.drift import read_drift
     from magmatch.slam.config import SlamConfig
-    from magmatch.slam.graph.anchors import read_anchors
+    from magmatch.slam.graph.anchors import of_named, read_anchors
     from magmatch.slam.output.folder import require_folder, unfinished
     from magmatch.slam.output.kept_session import read_session
-    from magmatch.slam.session import Session
+    from magmatch.slam.session import Session, unique_stems
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):
         refuse("--continue", "the settings of the session that it continues", "others")
+    asked, logs = logs, logs_in(logs)
     require_own_poses(logs, layouts, "LOG")
     check_folder(out)
     check_outputs([rerun], logs)
     require_recording(rerun)
     settings = merged(SlamConfig(), config).model_copy(update=switches)
     settings = with_odometry_sd(settings, odometry_sd or [], logs)
+    surveyed = [] if anchors is None else read_anchors(anchors)
     with processes(jobs, scheduler, ahead=2) as run:
-        surveys = [read_walk(path, layouts) for path in logs]
+        walks = [open_walk(path, layouts, with_points=not no_waypoints) for path in logs]
+        names = [path.name for path in logs]
+        of_named(surveyed, names, unique_stems(names), [walk.span for walk in walks])
+        surveys = [walk.survey() for walk in walks]
         if not any(":" not in text for text in odometry_sd or []):
             stated = {path.name: read_drift(path, layouts.of()) for path in logs}
             sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
             settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
-        fixed = [] if anchors is None else read_anchors(anchors)
         files = [path for path in (*logs, config, anchors) if path]
         require_folder(out, surveys, files, may_be_more=is_more, to_add="add the others with --continue, ")
         poses = [read_poses_of(path, layouts) for path in logs]
         session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
+        fixed = [*surveyed, *marked_points(walks, surveys, [*session.given, *new], surveyed, session.config)]
         session.add_logs(new, fixed, run=run, keep=unfinished(out))
     # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
-    words = ["slam", *map(str, logs), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
+    words = ["slam", *map(str, asked), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
+    words += ["--no-waypoints"] if no_waypoints else []
     return deliver(session, out, words, poses, json=json, rerun=rerun)
+
+
+def marked_points(
+    walks: "Sequence[OpenedWalk]",
+    surveys: "Sequence[Survey]",
+    order: "Sequence[Survey]",
+    surveyed: "Sequence[Anchor]",
+    config: "Settings | None",
+) -> "list[Anchor]":
+    """Points that the logs hold themselves, each by its log's name in the order of a session.
+
+    Nothing ties those in degrees to others in metres, unless the settings say where these begin.
+    """
+    from magmatch.slam.graph.waypoints import warn_of_floors, waypoints
+    from magmatch.slam.session import names_of
+
+    named = {id(survey): name for survey, name in zip(order, names_of(order), strict=True)}
+    points = [None if walk.phone is None else walk.phone.points for walk in walks]
+    warn_of_floors(points)
+    found = [
+        anchor
+        for some, survey in zip(points, surveys, strict=True)
+        for anchor in ([] if some is None else waypoints(some, survey, named[id(survey)]))
+    ]
+    is_apart = getattr(config, "origin", None) is None and any(not a.in_degrees for a in surveyed)
+    if is_apart and any(a.in_degrees for a in found):
+        words = "the fixed points of --anchors are in metres: points in degrees that logs hold are not used"
+        say(f"warning: {words}; state where x and y are 0 (setting 'origin': latitude, longitude) to use both")
+        found = [anchor for anchor in found if not anchor.in_degrees]
+    return found
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

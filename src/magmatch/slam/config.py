@@ -13,6 +13,8 @@ from magmatch.settings import Settings
 from magmatch.typing import Indices
 
 Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Latitude = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
+Longitude = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 # Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
 Drift = tuple[Deviation, Deviation]
 
@@ -51,6 +53,8 @@ class SlamConfig(Settings):
     # Whether z is up in the odometry's frames, and whether all poses lie at one height too.
     is_gravity_aligned: bool = True
     is_planar: bool = False
+    # Latitude and longitude (deg) at which x and y are 0, for fixed points in degrees. By default, the first of them.
+    origin: tuple[Latitude, Longitude] | None = None
     # Length of a window, in field lengths: long against the field's changes, short against the odometry's drift.
     window_length: float = Field(default=6.0, gt=0)
     # Probability that a window revisits a place, and that its neighbour then does too.

@@ -31,7 +31,7 @@ def slam(
         Each with positions from odometry, in its own frame; the field in that frame.
     config : SlamConfig, optional
     anchors : sequence of Anchor, or path, optional
-        Fixed points, or a table of them (``log,t,x,y,z,sd``). If they determine the frame, the logs that they fix are
+        Fixed points, or a table of them (``log,t,x,y,z,sd``, or ``lat,lon`` for ``x,y``). If they determine the frame, the logs that they fix are
         in it.
     run : callable, optional
         Lets other processes map and compare stretches, such as `magmatch.workers.DaskRunner`: called with a function

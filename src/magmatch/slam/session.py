@@ -26,7 +26,7 @@ from magmatch.registration.clock import Clock
 from magmatch.settings import Settings
 from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.find_places import find, go_on, settled
-from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
+from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -121,6 +121,8 @@ class Session:
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         for k, anchor in enumerate(listed):
             expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.slam.graph.anchors.Anchor")
+        listed, origin = in_metres(listed, config.origin, [a for a, _ in earlier.anchors] if earlier else ())
+        config = config.model_copy(update={"origin": origin})
         # Those of before may be given again.
         known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}
         passed = of_logs(listed, given, names_of(given))
@@ -142,6 +144,7 @@ class Session:
                     places = go_on(earlier, logs, fixed, steps, elsewhere, clock)
         finally:
             steps.keep()
+        places.stated = places.stated.model_copy(update={"origin": origin})
         self.config, self.given, self.places = config, given, places
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
         self._changed()
@@ -381,9 +384,14 @@ def require_distinct(surveys: Sequence[Survey]) -> None:
 
 def names_of(surveys: Sequence[Survey]) -> list[str]:
     """Stems of the surveys' names, made unique."""
+    return unique_stems([survey.name for survey in surveys])
+
+
+def unique_stems(files: Sequence[str]) -> list[str]:
+    """Stems of files' names, made unique."""
     names: list[str] = []
-    for survey in surveys:
-        stem = FilePath(survey.name).stem or "log"
-        others = (f"{stem}_{k}" for k in range(2, len(surveys) + 2))
+    for file in files:
+        stem = FilePath(file).stem or "log"
+        others = (f"{stem}_{k}" for k in range(2, len(files) + 2))
         names.append(next(name for name in (stem, *others) if name.lower() not in map(str.lower, names)))
     return names

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from drifting import Place, about_z, drifting_walk, trajectory_error
+from magmatch.data.geodesy import Origin, local_east_north
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor, fixed_points, of_logs, read_anchors
+from magmatch.slam.graph.anchors import Anchor, fixed_points, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
@@ -181,6 +182,9 @@ def test_a_table_is_read_as_it_stands(tmp_path):
         ("log,t,x,y,z,sd\na,0,nan,0,0,1\n", "line 2, column 'x'"),
         ("log,t,x,y,z,sd\na,0,0,0,0,1\na,noon,0,0,0,1\n", "line 3, column 't'"),
         ("log,t,x,y,z,sd\na,0,0,0\n", "line 2"),
+        ("log,t,lat,lon,z,sd\na,0,49,11,0,1\na,0,91,11,0,1\n", "line 3: found a latitude of 91"),
+        ("log,t,lat,lon,sd\na,0,49,11,1\n", "missing z"),
+        ("log,t,lat,y,z,sd\na,0,49,11,0,1\n", "(or lat, lon for x, y); missing x"),
     ],
 )
 def test_a_table_that_cannot_be_is_one_line(tmp_path, text, said):
@@ -200,12 +204,70 @@ def test_a_table_that_cannot_be_is_one_line(tmp_path, text, said):
             "points.csv, line 2: expected the name of a log",
         ),
         (Anchor("walk", 1e9, np.zeros(3), 0.1), "expected a time between 0 and"),
-        (Anchor("walk.csv", -0.1, np.zeros(3), 0.1), "found -0.1"),
+        (Anchor("walk.csv", -1.1, np.zeros(3), 0.1), "found -1.1"),
     ],
 )
 def test_a_point_that_no_log_passed_is_refused(anchor, said):
     with pytest.raises(ConfigurationError, match=said):
         of_logs([anchor], [LOG], ["walk"])
+
+
+@pytest.mark.parametrize("row", [0, -1])
+def test_a_point_shortly_beyond_the_samples_counts_as_far_as_the_log_may_have_moved(row):
+    times, (path,) = LOG.times, cut([LOG], 0.8, LEVEL)
+    speed = path.walked[-1] / (times[-1] - times[0])
+    near, at, beyond = (
+        Anchor("walk", float(times[row]) + (late if row else -late), TRUTH[row], 0.1) for late in (-0.5, 0.0, 0.9)
+    )
+    assert of_logs([near, beyond], [LOG], ["walk"]) == [(near, 0), (beyond, 0)]
+    found = fixed_points([(a, 0) for a in (near, at, beyond)], [path])
+    np.testing.assert_allclose(found.sd, [0.1, 0.1, np.hypot(0.1, 0.9 * speed)])
+    np.testing.assert_array_equal(found.x[2], LOG.positions[row])
+
+
+def test_degrees_become_metres_about_the_first_point_or_a_stated_one(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("log,t,lat,lon,z,sd\na,0,49.46,11.11,2,1\na,1,49.461,11.112,3,1\n")
+    degrees = read_anchors(path)
+    points, origin = in_metres(degrees, None)
+    assert origin == (49.46, 11.11)
+    np.testing.assert_allclose(points[0].position, [0, 0, 2], atol=1e-9)
+    east_north = local_east_north(np.array([49.461]), np.array([11.112]), Origin(49.46, 11.11))
+    np.testing.assert_array_equal(points[1].position, [*east_north[0], 3])
+    assert not points[1].in_degrees
+    again, origin = in_metres(degrees, (49.461, 11.112))
+    assert origin == (49.461, 11.112)
+    np.testing.assert_allclose(again[1].position, [0, 0, 3], atol=1e-9)
+
+
+def test_metres_and_degrees_share_a_frame_only_where_their_origin_is_stated():
+    degrees, metres = Anchor("a", 0.0, [49.0, 11.0, 0.0], 0.1, "POSI", True), Anchor("a", 1.0, [5, 6, 0], 0.1, "CSV")
+    with pytest.raises(ConfigurationError, match="CSV: is in metres, POSI in degrees"):
+        in_metres([degrees, metres], None)
+    with pytest.raises(ConfigurationError, match="CSV: is in metres"):
+        in_metres([degrees], None, [metres])
+    both, _ = in_metres([degrees, metres], (49.0, 11.0))
+    np.testing.assert_allclose([a.position for a in both], [[0, 0, 0], [5, 6, 0]], atol=1e-9)
+
+
+def test_an_added_log_keeps_the_origin_and_brings_points_of_its_own(tmp_path):
+    other, truth = drifting_walk(Place(5), 4, laps=0.8, name="other.csv")
+
+    def marked(log, truth, rows):
+        # So many metres are a degree there.
+        at = [[49 + y / 111_220, 11 + x / 73_170, 0.0] for x, y, _ in truth[list(rows)].tolist()]
+        times = log.times[list(rows)].tolist()
+        return [Anchor(log.name, t, p, 0.05, in_degrees=True) for t, p in zip(times, at, strict=True)]
+
+    first, more = marked(LOG, TRUTH, (5, 60, 110)), marked(other, truth, (5, 80, 160))
+    session = slam(LOG, anchors=first)
+    assert session.config.origin == tuple(first[0].position[:2])
+    session.add_logs([other], [*first, *more])
+    result = session.result()
+    assert len(result.anchors) == 6
+    assert all(log.is_fixed for log in result.logs)
+    found, known = session.trajectories[1].positions, truth - TRUTH[5]
+    assert np.abs(found[[5, 80, 160]] - known[[5, 80, 160]]).max() < 0.2
 
 
 def test_points_of_logs_without_times_are_refused():

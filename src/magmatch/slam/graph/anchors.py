@@ -2,12 +2,13 @@
 """Fixed points: known positions of a log at given times, in a surveyor's frame."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from magmatch.arguments import column_of, number_of, numbers_of
+from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import text_blocks
 from magmatch.data.tables.text_rows import cells_of, delimiter_of, names_of, split_row
@@ -20,6 +21,9 @@ from magmatch.typing import Vector3
 
 NUMBERS = ("t", "x", "y", "z", "sd")
 COLUMNS = ("log", *NUMBERS)
+DEGREES = {"x": "lat", "y": "lon"}  # columns that stand in for others
+# s; a point so long before the first sample or after the last still counts: marks and sensors start one by one.
+BEYOND = 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,7 +37,7 @@ class Anchor:
     t : float, s
         On the log's own clock.
     position : (3,) array, m
-        In the surveyor's frame.
+        In the surveyor's frame; with `in_degrees`: latitude and longitude (deg), and z.
     sd : float, m
         Standard deviation of each coordinate, above 0.
     source : str
@@ -45,6 +49,7 @@ class Anchor:
     position: Vector3
     sd: float
     source: str = "anchor"
+    in_degrees: bool = False
 
     def __post_init__(self) -> None:
         column_of([self.t], f"{self.source}: t", "s", 1)
@@ -53,7 +58,16 @@ class Anchor:
         if position.shape != (3,) or not np.isfinite(position).all():
             msg = f"{self.source}: position: expected three finite numbers (m), got {self.position!r:.60}"
             raise ValueError(msg)
+        if self.in_degrees and (wrong := what_is_wrong(position[:1], position[1:2])):
+            msg = f"{self.source}: position: {wrong}"
+            raise ValueError(msg)
         object.__setattr__(self, "position", position)
+
+    def local(self, origin: Origin) -> "Anchor":
+        """The same point in metres east and north of an origin."""
+        latitude, longitude, z = self.position
+        ((east, north),) = local_east_north(np.array([latitude]), np.array([longitude]), origin)
+        return replace(self, position=np.array([east, north, z]), in_degrees=False)
 
     @property
     def numbers(self) -> tuple[float, ...]:
@@ -62,7 +76,7 @@ class Anchor:
 
 
 def read_anchors(path: str | FilePath) -> list[Anchor]:
-    """Read fixed points from a table with the columns ``log,t,x,y,z,sd`` (s and m).
+    """Read fixed points from a table with the columns ``log,t,x,y,z,sd`` (s and m), or ``lat,lon`` (deg) for x, y.
 
     Raises
     ------
@@ -76,39 +90,77 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     (first, header), *rest = rows
     mark = delimiter_of(path, header, first + 1)
     names = names_of(path, split_row(header, mark), first + 1, COLUMNS, ())
-    missing = [name for name in COLUMNS if name not in names]
+    in_degrees = not set(DEGREES) <= set(names) and set(DEGREES.values()) <= set(names)
+    stands_for = DEGREES if in_degrees else {}
+    missing = [name for name in COLUMNS if stands_for.get(name, name) not in names]
     if missing:
-        raise DataFormatError(path, f"expected columns {', '.join(COLUMNS)}; missing {', '.join(missing)}")
+        columns = f"{', '.join(COLUMNS)} (or {', '.join(DEGREES.values())} for x, y)"
+        raise DataFormatError(path, f"expected columns {columns}; missing {', '.join(missing)}")
     at = [i for i, _ in rest]
     cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
-    numbers = numbers_in(path, at, cells, {name: names.index(name) for name in NUMBERS})
-    for i, sd in zip(at, numbers[:, -1], strict=True):
+    numbers = numbers_in(path, at, cells, {name: names.index(stands_for.get(name, name)) for name in NUMBERS})
+    for i, (_, x, y, _, sd) in zip(at, numbers, strict=True):
+        if in_degrees and (wrong := what_is_wrong(np.array([x]), np.array([y]))):
+            raise DataFormatError(path, wrong, line=i + 1)
         if sd <= 0:
             raise DataFormatError(
                 path, f"expected a standard deviation above 0 m, found {sd:g}", line=i + 1, column="sd"
             )
     logs = [row[names.index("log")].strip() for row in cells]
     return [
-        Anchor(log, float(n[0]), n[1:4], float(n[4]), f"{path}, line {i + 1}")
+        Anchor(log, float(n[0]), n[1:4], float(n[4]), f"{path}, line {i + 1}", in_degrees)
         for i, log, n in zip(at, logs, numbers, strict=True)
     ]
 
 
+def in_metres(
+    anchors: Sequence[Anchor], origin: tuple[float, float] | None, earlier: Sequence[Anchor] = ()
+) -> tuple[list[Anchor], tuple[float, float] | None]:
+    """Fixed points with those in degrees as metres east and north of an origin, and that: by default the first.
+
+    Points in metres, ``earlier`` ones too, have a frame that nothing ties to degrees, unless the origin is stated.
+    """
+    in_degrees = [a for a in anchors if a.in_degrees]
+    if not in_degrees:
+        return list(anchors), origin
+    other = next((a for a in (*earlier, *anchors) if not a.in_degrees), None)
+    if origin is None and other is not None:
+        msg = (
+            f"{other.source}: is in metres, {in_degrees[0].source} in degrees, expected all in one frame; state the "
+            "latitude and longitude at which x and y are 0 (setting 'origin'), or leave some out"
+        )
+        raise ConfigurationError(msg)
+    latitude, longitude = origin or in_degrees[0].position[:2].tolist()
+    at = Origin(latitude, longitude)
+    return [a.local(at) if a.in_degrees else a for a in anchors], (latitude, longitude)
+
+
 def of_logs(anchors: Sequence[Anchor], given: Sequence[Survey], names: Sequence[str]) -> list[tuple[Anchor, int]]:
     """Fixed points with the log that passed each; a ConfigurationError names the first that none did."""
+    spans = [None if s.times is None else (float(s.times[0]), float(s.times[-1])) for s in given]
+    return of_named(anchors, [survey.name for survey in given], names, spans)
+
+
+def of_named(
+    anchors: Sequence[Anchor],
+    files: Sequence[str],
+    names: Sequence[str],
+    spans: Sequence[tuple[float, float] | None],
+) -> list[tuple[Anchor, int]]:
+    """The same of logs that are known by their files' names, by their own, and by their first and last times."""
     found = []
     for anchor in anchors:
-        known = [{name, survey.name, FilePath(survey.name).name} for name, survey in zip(names, given, strict=True)]
+        known = [{name, file, FilePath(file).name} for name, file in zip(names, files, strict=True)]
         of = next((k for k, some in enumerate(known) if anchor.log in some), None)
         if of is None:
             msg = f"{anchor.source}: expected the name of a log ({', '.join(names)}), found {anchor.log!r}"
             raise ConfigurationError(msg)
-        times = given[of].times
-        if times is None:
+        span = spans[of]
+        if span is None:
             msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
             raise ConfigurationError(msg)
-        if not times[0] <= anchor.t <= times[-1]:
-            between = f"between {times[0]:.9g} and {times[-1]:.9g} s, when log {anchor.log!r} was walked"
+        if not span[0] - BEYOND <= anchor.t <= span[1] + BEYOND:
+            between = f"between {span[0]:.9g} and {span[1]:.9g} s, when log {anchor.log!r} was walked"
             msg = f"{anchor.source}: expected a time {between}, found {anchor.t:.9g}"
             raise ConfigurationError(msg)
         found.append((anchor, of))
@@ -117,7 +169,8 @@ def of_logs(anchors: Sequence[Anchor], given: Sequence[Survey], names: Sequence[
 
 def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -> FixedPoints:
     """Fixed points as factors of the two nodes around each."""
-    one, other, share, x = [], [], [], []
+    anchors = [(anchor, log) for anchor, log in anchors if log < len(paths)]  # others have yet to be added
+    one, other, share, x, sds = [], [], [], [], []
     for anchor, log in anchors:
         path = paths[log]
         times = path.survey.times
@@ -127,11 +180,14 @@ def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -
         other.append(path.first_node + int(b[0]))
         share.append(float(s[0]))
         x.append([np.interp(anchor.t, times, axis) for axis in path.survey.positions.T])
+        # The log may have moved on between the point and the first or last sample.
+        beyond = abs(anchor.t - np.clip(anchor.t, times[0], times[-1]))
+        sds.append(np.hypot(anchor.sd, beyond * path.walked[-1] / (times[-1] - times[0])))
     return FixedPoints(
         np.array(one, dtype=np.int64),
         np.array(other, dtype=np.int64),
         np.array(share),
         np.array(x).reshape(-1, 3),
         np.array([a.position for a, _ in anchors]).reshape(-1, 3),
-        np.array([a.sd for a, _ in anchors]),
+        np.array(sds),
     )
