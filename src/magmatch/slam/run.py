@@ -31,8 +31,8 @@ def slam(
         Each with positions from odometry, in its own frame; the field in that frame.
     config : SlamConfig, optional
     anchors : sequence of Anchor, or path, optional
-        Fixed points, or a table of them (``log,t,x,y,z,sd``, or ``lat,lon`` for ``x,y``). If they determine the frame, the logs that they fix are
-        in it.
+        Fixed points, or a table of them (``log,t,x,y,z,sd``, or ``lat,lon`` for ``x,y``). If they determine the
+        frame, the logs that they fix are in it.
     run : callable, optional
         Lets other processes map and compare stretches, such as `magmatch.workers.DaskRunner`: called with a function
         and tasks, which can be pickled, it gives the results in the tasks' order. By default this process does all
