@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Public recordings: only whole, verified files are used; what stands in the way is said in one line."""
 
+import gzip
 import hashlib
 import logging
 import sys
@@ -146,6 +147,45 @@ def test_local_file_of_another_version_is_named(toy, source):
 def test_missing_local_folder_is_named(toy, tmp_path):
     with pytest.raises(DataFormatError, match="nowhere: expected a folder"):
         verified_files("toy", tmp_path / "nowhere")
+
+
+PUBLISHED = b"#\tUser:1234\n#\tBrand:OPPO\n1\tTYPE_WIFI\tx\n2\tTYPE_WAYPOINT\t3\t4\n"
+
+
+@pytest.fixture
+def lines(toy, monkeypatch):
+    """A data set of which only some lines are kept, in a folder of its own in the repository."""
+    digest = hashlib.sha256(b"#\tBrand:OPPO\n2\tTYPE_WAYPOINT\t3\t4\n").hexdigest()
+    entry = replace(toy, files={"F2/a.txt": digest}, within="paths", kept=DATASETS["xyz10"].kept)
+    monkeypatch.setitem(DATASETS, "toy", entry)
+    return entry
+
+
+def test_of_published_lines_those_are_kept_that_are_read_and_name_nobody(lines, web):
+    network = web({"F2/paths/a.txt": PUBLISHED})
+    (file,) = fetch("toy").values()
+    assert file.read_bytes().splitlines() == [b"#\tBrand:OPPO", b"2\tTYPE_WAYPOINT\t3\t4"]
+    assert network.urls == [f"https://raw.githubusercontent.com/owner/repo/{'c' * 40}/data/F2/paths/a.txt"]
+    web({"F2/paths/a.txt": PUBLISHED.replace(b"4", b"5")})
+    file.unlink()
+    with pytest.raises(DatasetError, match="its lines differ"):
+        fetch("toy")
+    assert not file.exists()
+
+
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_a_local_copy_may_be_packed_and_hold_all_lines(lines, web, tmp_path, is_packed):
+    web(requests.exceptions.ConnectionError())
+    place = tmp_path / "toy" / "F2" / ("a.txt.gz" if is_packed else "a.txt")
+    place.parent.mkdir(parents=True)
+    place.write_bytes(gzip.compress(PUBLISHED) if is_packed else PUBLISHED)
+    (file,) = fetch("toy", tmp_path).values()
+    assert b"WIFI" not in file.read_bytes()
+
+
+def test_raw_logs_are_no_surveys_yet():
+    with pytest.raises(ConfigurationError, match="raw logs without poses"):
+        load_recordings("xyz10")
 
 
 def test_unknown_dataset_names_the_known_ones():

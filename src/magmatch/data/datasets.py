@@ -3,8 +3,10 @@
 
 import hashlib
 import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.text import read_bytes
@@ -31,10 +33,23 @@ class Dataset:
     folder: str  # folder in the repository that holds the files
     # SHA-256 of each file, by its path below the folder (and below the local folder of the same name)
     files: dict[str, str]
+    within: str = ""  # folder, beside the files' own folders in the repository, that they lie in there
+    # Lines of a published text that are kept; the others are large and of no use here, or name a person. The SHA-256
+    # is of those.
+    kept: str = ""
 
     def url(self, file: str) -> str:
         """Where one file is downloaded from."""
-        return f"https://raw.githubusercontent.com/{self.repository}/{self.commit}/{self.folder}/{file}"
+        place = Path(self.folder, file).parent / self.within / Path(file).name
+        return f"https://raw.githubusercontent.com/{self.repository}/{self.commit}/{place.as_posix()}"
+
+    def content(self, path: Path) -> bytes:
+        """What is kept of a file, which may be packed (gzip)."""
+        content = read_bytes(path)
+        if not self.kept:
+            return content
+        line_is_kept = re.compile(self.kept.encode()).match
+        return b"".join(line for line in content.splitlines(keepends=True) if line_is_kept(line))
 
 
 DATASETS: dict[str, Dataset] = {
@@ -120,6 +135,30 @@ DATASETS: dict[str, Dataset] = {
             folder="mats",
             files={"magmap-KI-1F-0.6p.mat": "f973dbd58c23bfdc05bddf930b940c41109499174e479bf562cd006d2b2db28d"},
         ),
+        Dataset(
+            name="xyz10",
+            title="Phones' raw logs of ten walks of a mall's floor, with surveyed points (478 m, for slam)",
+            citation="XYZ10 and Microsoft Research, Indoor Location Competition 2.0, sample data, 2020",
+            licence="MIT, Copyright (c) 2017-2020 XYZ10, Inc.",
+            repository="location-competition/indoor-location-competition-20",
+            commit="8ab177cd7be2700442714b7d13fa452bedc685f5",
+            folder="data/site1",
+            within="path_data_files",
+            kept=r"#\t(?!User:|DeviceId:)|\d+\tTYPE_(ACCELEROMETER|GYROSCOPE|MAGNETIC_FIELD(_UNCALIBRATED)?|"
+            r"ROTATION_VECTOR|WAYPOINT)\t",
+            files={
+                "F2/5dda52109191710006b573b5.txt": "a2b7bfa87cc48a9183664af351adf9e4f53c8e996cd19af856b975ba8765ba8a",
+                "F2/5dda5af79191710006b573ed.txt": "076e56b8fee409198b86d400c7374cd34f3da2197175fafb9d465218bb6cc322",
+                "F2/5dda5b009191710006b573f3.txt": "83409c7b3a110dc84fa709b903b98cc1388f1ac9abdc068821b4d305a1a95551",
+                "F2/5dda5b01c5b77e0006b1771f.txt": "952a320c7abb903122e25d758010595d2c4645000a09dc62320bb0e5bc8ab852",
+                "F2/5dda5b02c5b77e0006b17721.txt": "fbc3fe1e17558a980f7098e2d03c184731d6c7d58382df2f440b4ef0228fd622",
+                "F2/5dda5b039191710006b573f7.txt": "f91f79d7d6b40d91e0e1ae7fdd6811947702d127ba6f4e74d4aaf84351fac608",
+                "F2/5dda5b04c5b77e0006b17723.txt": "3e4380fbdce44e4ee8543c4f4a2c8a05bc276275da577f0c1b0ec819f00363c8",
+                "F2/5dda5b05c5b77e0006b17725.txt": "1df5d75f8bb091d55c0a7fdc73c7a16c3cbaa1a9b4d9ff2fbbba2ae3c1d4907c",
+                "F2/5ddb9ae59191710006b57696.txt": "8a5eb1567ab3d63ac6ced2740576820976759f6c53cce9a58d02e28a3f5c3326",
+                "F2/5ddb9ae6c5b77e0006b179d3.txt": "031444208b32a2ede2fd7d97cd2692dcfccb4132e81d6a1ac6086b30b3561c3c",
+            },
+        ),
     )
 }
 
@@ -144,9 +183,7 @@ def fetch(name: str, source_dir: str | Path | None = None) -> dict[str, Path]:
     if source_dir is not None:
         sources = verified_files(name, source_dir)
         for file in missing:
-            (cache / file).parent.mkdir(parents=True, exist_ok=True)
-            with atomic_write(cache / file) as stream:
-                stream.write(sources[file].read_bytes())
+            _keep(cache / file, dataset.content(sources[file]))
     elif missing:
         _download(dataset, missing, cache)
     return {file: cache / file for file in dataset.files}
@@ -161,11 +198,13 @@ def verified_files(name: str, source_dir: str | Path) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for file, digest in dataset.files.items():
         path = folder / file
+        if dataset.kept and not path.is_file():  # text, which may be packed
+            path = path.with_name(f"{path.name}.gz")
         if not path.is_file():
             raise DataFormatError(
                 path, f"no such file, but dataset '{name}' needs it; get it from {dataset.url(file)}"
             )
-        found = sha256(path)
+        found = hashlib.sha256(dataset.content(path)).hexdigest()
         if found != digest:
             message = f"is not the published file: expected SHA-256 {digest[:12]}..., found {found[:12]}..."
             raise DataFormatError(path, message)
@@ -185,6 +224,13 @@ def sha256(path: str | Path) -> str:
     return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
+def _keep(path: Path, content: bytes) -> None:
+    """Put a file into the cache."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as stream:
+        stream.write(content)
+
+
 def _is_whole(path: Path, digest: str) -> bool:
     """Whether a file is there with the content it should have."""
     return path.is_file() and sha256(path) == digest
@@ -195,21 +241,27 @@ def _download(dataset: Dataset, files: list[str], cache: Path) -> None:
     import pooch
 
     pooch.get_logger().setLevel("WARNING")  # its progress lines go to stderr; what is fetched is logged here
-    registry = {file: f"sha256:{dataset.files[file]}" for file in files}
-    urls = {file: dataset.url(file) for file in files}
-    kennel = pooch.create(path=cache, base_url="", registry=registry, urls=urls, retry_if_failed=1)
     for file in files:
+        url, digest = dataset.url(file), dataset.files[file]
         try:
-            kennel.fetch(file, downloader=pooch.HTTPDownloader(timeout=30))
+            with TemporaryDirectory(prefix="magmatch-") as folder:
+                # What is kept is verified below, since all of a file may be published otherwise.
+                known = None if dataset.kept else f"sha256:{digest}"
+                kennel = pooch.create(folder, "", registry={file: known}, urls={file: url}, retry_if_failed=1)
+                content = dataset.content(Path(kennel.fetch(file, downloader=pooch.HTTPDownloader(timeout=30))))
         except ValueError as error:  # pooch's word for a checksum that differs
-            msg = f"dataset '{dataset.name}': {urls[file]} is not what was published: {' '.join(str(error).split())}"
+            msg = f"dataset '{dataset.name}': {url} is not what was published: {' '.join(str(error).split())}"
             raise DatasetError(msg) from None
         except OSError as error:  # requests' errors are OSErrors
             msg = (
-                f"dataset '{dataset.name}': cannot download {urls[file]} ({_reason(error)}). Without a connection, "
+                f"dataset '{dataset.name}': cannot download {url} ({_reason(error)}). Without a connection, "
                 f"copy its files into a folder and use --from FOLDER"
             )
             raise DatasetError(msg) from None
+        if hashlib.sha256(content).hexdigest() != digest:
+            msg = f"dataset '{dataset.name}': {url} is not what was published: its lines differ"
+            raise DatasetError(msg)
+        _keep(cache / file, content)
 
 
 def _reason(error: Exception) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.io
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.datasets import fetch, verified_files
+from magmatch.data.datasets import DATASETS, fetch, verified_files
 from magmatch.data.survey import Survey
-from magmatch.errors import import_extra
+from magmatch.errors import ConfigurationError, import_extra
 from magmatch.typing import Matrix, Scalars
 
 logger = logging.getLogger(__name__)
@@ -30,6 +30,9 @@ def load_recordings(name: str, source_dir: str | Path | None = None) -> dict[str
 
     All recordings of one dataset share a frame, except those of ``kok``, which lie in four places.
     """
+    if name in DATASETS and name not in _LOADERS:
+        msg = f"dataset '{name}' holds raw logs without poses; fetch it, and give its files to 'magmatch slam'"
+        raise ConfigurationError(msg)
     files = fetch(name) if source_dir is None else verified_files(name, source_dir)
     return _LOADERS[name](files)
 

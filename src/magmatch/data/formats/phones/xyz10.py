@@ -16,7 +16,7 @@ _TAGS: Mapping[str, Sensor] = {
     "TYPE_GRAVITY": "gravity", "TYPE_GYROSCOPE": "rate",
 }  # fmt: skip
 _POINT = "TYPE_WAYPOINT"
-_HEAD = re.compile(rb"(?m)^\d{10,}\tTYPE_[A-Z_]+\t")
+_HEAD = re.compile(rb"(?m)^\d{10,}\tTYPE_[A-Z0-9_]+\t")
 # Where a row follows another without a line end between, as in some of the published files.
 _JOINED = re.compile(r"(?=\d{13}\tTYPE_)")
 MS = 1e-3  # s
