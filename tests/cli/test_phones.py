@@ -186,6 +186,7 @@ def test_points_in_degrees_are_metres_about_the_first(tmp_path, run):
     assert outcome.code == 0, outcome.err
     result = json.loads(outcome.out)
     assert result["config"]["origin"] == [49, 11]
+    assert "metres east and north of 49.000000000,11.000000000" in outcome.err
     assert [round(a["position"][1], 1) for a in result["anchors"]] == [0, 5.5, 0, 5.5]
     # Nothing ties a table in metres to the log's degrees, unless their origin is stated.
     survey, points = straight(t), read_phone_log(tmp_path / "walk.txt", with_points=True)

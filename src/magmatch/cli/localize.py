@@ -14,7 +14,7 @@ from magmatch.cli.narration import put, say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.settings import merged
-from magmatch.cli.walks import read_walk
+from magmatch.cli.walks import open_walk
 
 if TYPE_CHECKING:
     from magmatch.localization.result import LocalizationResult
@@ -81,7 +81,8 @@ def localize(
             refuse("--odometry-sd", "metres,degrees, both above 0, such as 0.3,4", odometry_sd)
         switches["odometry"] = settings.odometry.model_copy(update={"sd": sd})
     settings = settings.model_copy(update=switches)
-    walk, known = read_walk(log, layouts), open_place(place)
+    opened, known = open_walk(log, layouts), open_place(place)  # both before a log is dead reckoned
+    walk = opened.survey()
     track = with_hindsight(known, walk, settings) if smooth else run(known, walk, settings)
     result = track.result()
     track.save(out, read_poses_of(log, layouts))

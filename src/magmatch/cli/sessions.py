@@ -35,6 +35,7 @@ def deliver(
     rerun: Path | None = None,
 ) -> int:
     """Write the folder, print a summary, and give the exit code: whether all logs are in one frame."""
+    from magmatch.data.geodesy import Origin
     from magmatch.errors import MissingExtraError
     from magmatch.slam.output.folder import REPORT, write_folder
     from magmatch.viz.pages.session_page import write_session_report
@@ -56,6 +57,8 @@ def deliver(
         put(as_json(result.to_dict()))
     if session.graph.config.is_planar:
         say("Taken as planar: all poses at one height")
+    if (origin := getattr(session.config, "origin", None)) is not None:
+        say(f"x and y: metres east and north of {Origin(*origin)}")
     say(tell(result))
     say(f"Wrote {out}")
     return DONE if result.is_connected else NOT_ACCEPTED
