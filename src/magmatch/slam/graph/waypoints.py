@@ -41,4 +41,4 @@ def warn_of_floors(logs: Iterable[SurveyedPoints | None]) -> None:
     floors = sorted({floor for points in logs if points is not None for floor in points.floors})
     if len(floors) > 1:
         words = "surveyed points lie on floors %s, and are taken as of one: give the logs of one floor alone"
-        logger.warning(words, ", ".join(f"{floor:g}" for floor in floors))
+        logger.warning(words, ", ".join(floors))

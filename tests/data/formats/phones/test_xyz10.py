@@ -69,6 +69,7 @@ def test_its_waypoints_are_points_of_the_plan(log):
     np.testing.assert_allclose(points.times, [START / 1e3 - 0.125, START / 1e3 + 0.3], rtol=1e-15)
     np.testing.assert_array_equal(points.places, [[77.79517, 127.669235], [81.3263, 130.23949]])
     assert not points.in_degrees
+    assert points.floors == ("F2",)
     assert points.lines[0] == HEADER.count("\n") + 1
 
 
@@ -125,7 +126,7 @@ def test_posi_rows_are_points_in_degrees_with_their_floors(tmp_path):
     (tmp_path / "log.txt").write_text("\n".join(lines))
     points = read_phone_log(tmp_path / "log.txt", with_points=True).points
     assert points.in_degrees
-    assert (points.times.tolist(), points.floors) == ([0.5, 2.0], (0.0, 1.0))
+    assert (points.times.tolist(), points.floors) == ([0.5, 2.0], ("0", "1"))
     np.testing.assert_array_equal(points.places, [[49.4613, 11.1109], [49.4614, 11.11]])
     (tmp_path / "log.txt").write_text("\n".join([*lines, "POSI;3;3;149;11;1;100"]))
     read_phone_log(tmp_path / "log.txt")  # which reads no points

@@ -52,7 +52,7 @@ def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> Surveye
     if _POINT not in blocks:
         return None
     block, lines = blocks[_POINT]
-    floors = tuple(np.unique(block[:, 4]).tolist())
+    floors = tuple(f"{floor:g}" for floor in np.unique(block[:, 4]))
     return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0], block[:, 2:4], lines, floors, in_degrees=True)
 
 

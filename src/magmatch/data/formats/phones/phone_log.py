@@ -60,7 +60,7 @@ class SurveyedPoints:
     times: Scalars  # (n,), s: on the log's clock
     places: Matrix  # (n, 2): x, y (m) in the plan's frame, or latitude, longitude (deg)
     in_degrees: bool
-    floors: tuple[float, ...]  # numbers of the floors that they lie on, as far as they are told
+    floors: tuple[str, ...]  # those that they lie on, as far as the log says
     source: str  # the kind of row they came from
     lines: Indices  # (n,): where they stand in the file
 
@@ -72,7 +72,7 @@ class SurveyedPoints:
         times: Scalars,
         places: Matrix,
         lines: Indices,
-        floors: tuple[float, ...] = (),
+        floors: tuple[str, ...] = (),
         *,
         in_degrees: bool = False,
     ) -> "SurveyedPoints":
@@ -121,7 +121,8 @@ class PhoneLog:
         ]  # fmt: skip
         if (points := self.points) is not None:
             span = [float(points.times.min()), float(points.times.max())]
-            kind = f"surveyed points ({'latitude, longitude' if points.in_degrees else 'x, y in m'})"
+            floors = f"; floor {', '.join(points.floors)}" if points.floors else ""
+            kind = f"surveyed points ({'latitude, longitude' if points.in_degrees else 'x, y in m'}{floors})"
             facts.append(
                 {"name": points.source, "type": kind, "count": len(points.times), "rate": None, "span": span}
             )

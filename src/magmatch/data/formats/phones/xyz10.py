@@ -17,6 +17,7 @@ _TAGS: Mapping[str, Sensor] = {
 }  # fmt: skip
 _POINT = "TYPE_WAYPOINT"
 _HEAD = re.compile(rb"(?m)^\d{10,}\tTYPE_[A-Z0-9_]+\t")
+_FLOOR = re.compile(rb"(?m)^#.*\tFloorName:([^\t\r\n]+)")
 # Where a row follows another without a line end between, as in some of the published files.
 _JOINED = re.compile(r"(?=\d{13}\tTYPE_)")
 MS = 1e-3  # s
@@ -41,7 +42,8 @@ def points_of_xyz10(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints 
     block, lines = _rows(path, raw, {_POINT}, "xy", recover).blocks().get(_POINT, (None, None))
     if block is None or lines is None:
         return None
-    return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0] * MS, block[:, 1:], lines)
+    floors = tuple(name.decode("utf-8", "replace") for name in _FLOOR.findall(raw)[:1])
+    return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0] * MS, block[:, 1:], lines, floors)
 
 
 def _rows(path: Path, raw: bytes, tags: Collection[str], axes: str, recover: bool) -> TaggedRows:
