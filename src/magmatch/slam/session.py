@@ -152,8 +152,7 @@ class Session:
 
     def _warn_of_a_wrong_point(self) -> None:
         """Name the fixed point without which all else agrees best, where they contradict each other or the log."""
-        off, C = self.graph.off_fixed_without()
-        if np.max((off * np.linalg.solve(C, off[:, :, None])[:, :, 0]).sum(axis=1), initial=0.0) > SURPRISING:
+        if np.max(self.graph.surprise_of_fixed(), initial=0.0) > SURPRISING:
             k, far = most_contradicted(self.graph)
             said = "%s lies %.2g m from where all else has the log: a wrong number, time or log?"
             log.warning(said, self._now.anchors[k][0].source, far)

@@ -15,7 +15,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.odometry import odometry_graph
-from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.solve import most_contradicted, solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.run import slam
@@ -106,6 +106,15 @@ def test_a_point_that_all_else_contradicts_is_named(caplog, at):
     of = session.result().anchors[1]
     # Its own residual, of a log that is drawn to it, does not show it.
     assert np.linalg.norm(of.off) < 0.5 < 4.0 < np.linalg.norm(of.off_without)
+
+
+def test_of_many_points_the_wrong_one_is_found_among_those_that_look_most_wrong():
+    graph, _ = graph_of(range(3, 207, 6), sd=0.3)
+    position = graph.fixed.position.copy()
+    position[20] += [3.0, -2.0, 0.0]
+    graph.fixed = replace(graph.fixed, position=position)
+    solve(graph)
+    assert most_contradicted(graph)[0] == 20
 
 
 def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():

@@ -195,6 +195,12 @@ class PoseGraph:
         grows = V @ np.linalg.inv(V - J @ C @ np.swapaxes(J, 1, 2))
         return np.einsum("aij,aj->ai", grows, seen - f.position), grows @ V
 
+    def surprise_of_fixed(self) -> Scalars:
+        """Squared residual that each fixed point has without it, in standard deviations: (a,)."""
+        off, C = self.off_fixed_without()
+        squared: Scalars = (off * np.linalg.solve(C, off[:, :, None])[:, :, 0]).sum(axis=1)
+        return squared
+
     def pose(self, k: int) -> RigidTransform:
         """Of a node in its component's frame."""
         return transform_of(self.R[k], self.p[k])

@@ -18,6 +18,9 @@ MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
 SETTLED = 1e-2
 # Largest turn of a step, rad: beyond it, equations are not linear.
 MOST_TURN = 0.3
+# Fixed points of which one may be wrong. To first order their surprise is by how much all else agrees better without
+# each, so the wrong one is among the first few; each takes a solution, and phones' logs hold hundreds.
+SUSPECTS = 16
 
 
 def solve(graph: PoseGraph) -> None:
@@ -56,12 +59,12 @@ def forget_closures(graph: PoseGraph) -> None:
 def most_contradicted(graph: PoseGraph) -> tuple[int, float]:
     """The fixed point without which all else agrees best, and how far it lies from where that has the log, m.
 
-    A wrong one bends the log so far that those beside it look as wrong: each is left out in turn.
+    A wrong one bends the log so far that those beside it look as wrong: those that look worst are left out in turn.
     """
     f = graph.fixed
     assert f is not None
     found = []
-    for k in range(len(f.sd)):
+    for k in np.argsort(-graph.surprise_of_fixed(), kind="stable")[:SUSPECTS].tolist():
         without = graph.copied()
         without.fixed = f.only(np.delete(np.arange(len(f.sd)), k)) if len(f.sd) > 1 else None
         solve(without)
