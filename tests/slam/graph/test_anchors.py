@@ -108,6 +108,15 @@ def test_a_point_that_all_else_contradicts_is_named(caplog, at):
     assert np.linalg.norm(of.off) < 0.5 < 4.0 < np.linalg.norm(of.off_without)
 
 
+@pytest.mark.parametrize("sd", [1e-4, 1e-3, 0.3])
+@pytest.mark.parametrize("rows", [[100], [3, 100]])
+def test_rounding_says_nothing_against_a_point_that_nothing_else_places(rows, sd):
+    graph, _ = graph_of(rows, sd=sd)
+    _, covariance = graph.off_fixed_without()
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    assert 0 <= graph.surprise_of_fixed()[0] < 1e4  # of two points, the log's length may contradict one
+
+
 def test_of_many_points_the_wrong_one_is_found_among_those_that_look_most_wrong():
     graph, _ = graph_of(range(3, 207, 6), sd=0.3)
     position = graph.fixed.position.copy()

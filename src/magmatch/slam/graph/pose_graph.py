@@ -26,6 +26,8 @@ SURE = 1e-4
 FREE = 1e3
 # Standard deviations beyond which a difference is one.
 DISTINCT = 3.0
+# Least share of a fixed point's information that others are taken to have: float64 tells no less from none.
+UNTOLD = 1e-12
 # Nodes nearer than this along one log are one pass of a place, and are not compared: their windows adjoin.
 APART = 2
 UP = np.array([0.0, 0.0, 1.0])
@@ -191,9 +193,12 @@ class PoseGraph:
         f, (seen, J), own = self.fixed, self.seen_at_fixed(), self.marginals()
         between = self._selected().between(f.one, f.other)
         C = np.block([[own[f.one], between], [np.swapaxes(between, 1, 2), own[f.other]]])
-        V = np.eye(3) * f.sd[:, None, None] ** 2
-        grows = V @ np.linalg.inv(V - J @ C @ np.swapaxes(J, 1, 2))
-        return np.einsum("aij,aj->ai", grows, seen - f.position), grows @ V
+        S = J @ C @ np.swapaxes(J, 1, 2) / f.sd[:, None, None] ** 2
+        told, axes = np.linalg.eigh((S + np.swapaxes(S, 1, 2)) / 2)
+        # Where nothing else tells a point's place, rounding decides what is left of one; its residual says nothing.
+        left, apart = np.maximum(1 - told, UNTOLD), np.einsum("aji,aj->ai", axes, seen - f.position)
+        off = np.einsum("aij,aj->ai", axes, np.where(1 - told > UNTOLD, apart / left, 0.0))
+        return off, axes / left[:, None, :] @ np.swapaxes(axes, 1, 2) * f.sd[:, None, None] ** 2
 
     def surprise_of_fixed(self) -> Scalars:
         """Squared residual that each fixed point has without it, in standard deviations: (a,)."""
