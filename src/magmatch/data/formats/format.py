@@ -40,7 +40,7 @@ class SurveyFormat(Settings):
         default=None,
         description="Pose of the magnetometer on the body whose poses are given: 'x y z qx qy qz qw' (metres; "
         "takes sensor to body coordinates) or a YAML file with translation and rotation. Default: from "
-        "tf_static, else no offset.",
+        "tf or the robot's description, else no offset.",
     )
     recover: bool = Field(
         default=False, description="Read the intact part of a damaged log or survey CSV, and report what was lost."

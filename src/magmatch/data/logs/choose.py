@@ -23,7 +23,6 @@ POSE_TYPES = (
     "geometry_msgs/TransformStamped",
     "geometry_msgs/PointStamped",
 )
-STATIC_TOPICS = ("/tf_static", "tf_static")
 
 
 def choose_topics(
@@ -47,10 +46,18 @@ def choose_topics(
 
 
 def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
-    """Whether poses come from a topic of their own; else only the tree of frames may hold them."""
+    """Whether poses come from a topic of their own; else only the tree of frames may hold them.
+
+    A single pose is a goal or a start, not a path, and what cannot be decoded is none of either.
+    """
     if pose_topic is not None:
-        return not any(topic.name == pose_topic and topic.type in TREES for topic in topics)
-    return any(topic.count and topic.type in POSE_TYPES for topic in topics)
+        return not any(is_named(topic, pose_topic) and topic.type in TREES for topic in topics)
+    return any(topic.count > 1 and topic.type in POSE_TYPES and topic.encoding in ENCODINGS for topic in topics)
+
+
+def is_named(topic: Topic, name: str) -> bool:
+    """Whether a topic has a name, with or without the slash in front."""
+    return topic.name.lstrip("/") == name.lstrip("/")
 
 
 def _tell_choice(path: Path, chosen: Topic, among: Sequence[Topic], what: str, flag: str) -> None:
@@ -71,7 +78,7 @@ def _candidates(
 ) -> list[Topic]:
     """Topics that may serve."""
     flag = "--mag-topic" if what == "field" else "--pose-topic"
-    named = [topic for topic in topics if name is None or topic.name == name or topic.name == "/" + name]
+    named = [topic for topic in topics if name is None or is_named(topic, name)]
     if not named and name is not None:
         raise DataFormatError(path, f"{flag} {name}: no such topic; the log holds {describe_topics(topics)}")
     typed = [topic for topic in named if topic.type in types]
