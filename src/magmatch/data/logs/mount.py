@@ -96,7 +96,7 @@ def _unread(log: Log, topics: Sequence[Topic]) -> dict[Frames, Entries]:
 
 
 def _fixed_joints(path: Path, text: Any) -> dict[Frames, RigidTransform]:
-    """Transforms of the joints of a URDF that do not move, by names of links; the text is one of JSON, or in a column."""
+    """Transforms of the joints of a URDF that do not move, by names of links; its text may stand in a column."""
     words = text if isinstance(text, str) else text[0].decode("utf-8", "replace")
     if len(words) > MAX_DESCRIPTION or "<!ENTITY" in words:
         return {}

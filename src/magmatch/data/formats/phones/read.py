@@ -10,6 +10,7 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.phones.containers import opened_tables
 from magmatch.data.formats.phones.getsensordata import APP, is_getsensordata, read_getsensordata
+from magmatch.data.formats.phones.metadata import with_metadata
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
 from magmatch.data.formats.recording import Recording
@@ -49,11 +50,12 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
                     app, found = read_table_streams(place, raw, wanted, recover=recover)
                 streams = found | streams
                 apps.append(app)
+        told = with_metadata(Path(path), apps[0] if apps else "", streams)
     except BROKEN_ZIP as error:
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
-    return PhoneLog(Path(path), apps[0] if apps else "unknown", streams)
+    return PhoneLog(Path(path), apps[0] if apps else "unknown", told)
 
 
 def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> Recording:
