@@ -12,20 +12,77 @@ import logging
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
 from numba import njit, types
 from numba.core import event, sigutils
+from numba.core.dispatcher import Dispatcher
 
 log = logging.getLogger(__name__)
 # Above information and below a warning: to be told at once.
 NOTICE = 25
+ELSEWHERE = "; NUMBA_CACHE_DIR names another folder to keep them"
 
-# The numpy error model: a division by 0 gives infinity, and nothing can be raised.
-compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)  # type: ignore[call-overload]
-# Becomes part of the loop that calls it before that is compiled, so that counts known there are known here.
-inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+
+class Keeping:
+    """Loops are kept for later runs where some folder can be written; without one they are compiled each time.
+
+    Attributes
+    ----------
+    obstacle : str
+        Why loops cannot be kept; empty as long as they can.
+    """
+
+    def __init__(self) -> None:
+        self.obstacle = ""
+
+    def __call__(self, loop: Any) -> Any:
+        """Have a loop kept."""
+        if not isinstance(loop, Dispatcher):  # numba is told to compile nothing
+            return loop
+        try:
+            loop.enable_caching()  # type: ignore[no-untyped-call]
+        except RuntimeError:  # numba's word for no folder that it can write
+            self.obstacle = "neither the package's folder nor the user's cache can be written"
+            return loop
+        cache = loop._cache
+        load, save = cache.load_overload, cache.save_overload
+
+        def loaded(*of: Any) -> Any:
+            try:
+                return load(*of)
+            except Exception:  # whatever damaged or foreign files make of unpickling
+                with suppress(Exception):
+                    cache.flush()
+                return None
+
+        def saved(*what: Any) -> None:
+            try:
+                save(*what)
+            except Exception as error:  # a full disk, or the same files
+                if not self.obstacle:
+                    self.obstacle = f"{cache.cache_path} cannot be written ({error})"
+                    log.log(NOTICE, "Compiled loops are not kept: %s%s", self.obstacle, ELSEWHERE)
+
+        cache.load_overload, cache.save_overload = loaded, saved
+        return loop
+
+
+KEEPING = Keeping()
+
+
+def compiled(function: Any) -> Any:
+    """Compile a loop at its first call; the numpy error model: division by 0 is infinity, nothing can be raised."""
+    return KEEPING(njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function))  # type: ignore[call-overload]
+
+
+def inlined(function: Any) -> Any:
+    """Make a loop part of the one that calls it before that is compiled: counts known there are known here."""
+    return KEEPING(njit(nogil=True, error_model="numpy", inline="always")(function))
+
+
 _known: list[tuple[Any, tuple[types.Type, ...]]] = []
 
 
@@ -106,11 +163,11 @@ class FirstUse(event.Listener):
         if self._is_over or not _is_ours(event):
             return
         self._is_over = True
-        log.log(
-            NOTICE,
-            "Compiling numerical loops: once per kind of task after installation or upgrade, for several seconds",
-        )
-        if self.next_module is not None:
+        how_often = "once per kind of task after installation or upgrade, for several seconds"
+        if KEEPING.obstacle:
+            how_often = f"in every run, since {KEEPING.obstacle}{ELSEWHERE}"
+        log.log(NOTICE, "Compiling numerical loops: %s", how_often)
+        if self.next_module is not None and not KEEPING.obstacle:
             words = f"from magmatch.compiled import compile_known; compile_known({self.next_module!r})"
             silent = subprocess.DEVNULL
             helper = subprocess.Popen([sys.executable, "-c", words], stdin=silent, stdout=silent, stderr=silent)

@@ -2,7 +2,6 @@
 """A log with odometry for `slam`, `localize` and `replay`; dead reckoning for a phone's log without poses."""
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from magmatch.cli.command import Layouts
@@ -17,7 +16,7 @@ def read_walk(path: Path, layouts: Layouts) -> "Survey":
     """Read a log; poses of a phone's log are computed by dead reckoning, as by `odometry`."""
     from magmatch.data.formats.phones.read import read_phone_log
     from magmatch.data.formats.sniff import sniff
-    from magmatch.data.read import read_survey
+    from magmatch.data.read import read_phone_on
     from magmatch.preparation.odometry.dead_reckon import dead_reckon
 
     layout = layouts.of()
@@ -26,7 +25,4 @@ def read_walk(path: Path, layouts: Layouts) -> "Survey":
     phone = read_phone_log(path, ("acceleration", "linear_acceleration", "gravity", "rate"), recover=layout.recover)
     walk = dead_reckon(phone)
     say(f"Dead reckoning: {len(walk.steps)} steps, {walk.length:.1f} m")
-    with TemporaryDirectory() as folder:
-        poses = Path(folder) / "walk.tum"
-        walk.trajectory.save(poses)
-        return read_survey(path, layout.model_copy(update={"trajectory": poses}))
+    return read_phone_on(path, layout, walk.trajectory)

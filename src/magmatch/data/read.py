@@ -89,6 +89,12 @@ def read_survey_and_channels(
     return survey, recording.channels.at(survey.times, len(survey))
 
 
+def read_phone_on(path: str | Path, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
+    """Read and check the survey of a phone's log with poses that were worked out from it, in metres."""
+    survey, used = _read_phone(path, layout, trajectory=trajectory)
+    return _checked(path, replace(survey, name=Path(path).name), used)
+
+
 def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | None:
     """Read what a phone's magnetometer says without the phone's own calibration; None unless a log holds both."""
     if sniff(path) != "phone" or layout.columns:
@@ -138,10 +144,12 @@ def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyF
     return replace(survey, pose_sd=layout.pose_sd or 0.0), layout.settled(field_frame=recording.field_frame)
 
 
-def _read_phone(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> tuple[Survey, SurveyFormat]:
+def _read_phone(
+    path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None, trajectory: Trajectory | None = None
+) -> tuple[Survey, SurveyFormat]:
     """A phone's magnetometer: microtesla in the phone's axes, unless stated otherwise."""
     layout = layout.settled(field_unit="uT", field_frame="sensor")
-    return _joined(read_phone_recording(path, layout, sensor), layout)
+    return _joined(read_phone_recording(path, layout, sensor, trajectory), layout)
 
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:

@@ -30,16 +30,23 @@ def load_trajectory(path: str | Path, layout: SurveyFormat) -> Trajectory:
     return TRAJECTORY_READERS[kind](path).scaled(METRE_PER_UNIT[layout.length_unit])
 
 
-def with_poses(path: str | Path, times: Scalars, field: Vectors, layout: SurveyFormat, hint: str = "") -> Recording:
-    """Field samples (s; T) with the poses of the trajectory file that the layout names."""
-    if layout.trajectory is None:
+def with_poses(
+    path: str | Path,
+    times: Scalars,
+    field: Vectors,
+    layout: SurveyFormat,
+    hint: str = "",
+    trajectory: Trajectory | None = None,
+) -> Recording:
+    """Field samples (s; T) with poses: those given, else of the trajectory file that the layout names."""
+    if trajectory is None and layout.trajectory is None:
         message = "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory"
         raise DataFormatError(path, f"{message} POSES.tum{hint}")
     return Recording(
         path=Path(path),
         times=times,
         field=field,
-        trajectory=load_trajectory(layout.trajectory, layout),
+        trajectory=trajectory or load_trajectory(layout.trajectory, layout),
         field_frame=layout.field_frame,
         poses_from=layout.trajectory,
     ).carried(None if layout.extrinsic is None else read_extrinsic(layout.extrinsic))

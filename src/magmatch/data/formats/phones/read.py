@@ -15,6 +15,7 @@ from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import BROKEN_ZIP
+from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
 
@@ -58,8 +59,10 @@ def read_phone_log(path: str | Path, wanted: Collection[Sensor] = EVERY, *, reco
     return PhoneLog(Path(path), apps[0] if apps else "unknown", told)
 
 
-def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> Recording:
-    """Join a magnetometer of a phone with the poses of a trajectory file; by default its calibrated one."""
+def read_phone_recording(
+    path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None, trajectory: Trajectory | None = None
+) -> Recording:
+    """Join a magnetometer of a phone, by default its calibrated one, with poses: given, or of the layout's file."""
     log = read_phone_log(path, (sensor or "field",), recover=layout.recover)
     if sensor is None and "field" not in log.streams:
         raw = read_phone_log(path, recover=layout.recover)
@@ -72,4 +75,4 @@ def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor 
     stream = log.require(sensor or "field", "a survey")
     field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
     hint = " ('magmatch odometry' makes one from accelerometer and gyroscope)"
-    return with_poses(path, stream.times, field, layout, hint)
+    return with_poses(path, stream.times, field, layout, hint, trajectory)
