@@ -84,7 +84,7 @@ def test_keys_are_not_their_ids():
 def test_states_that_cannot_be_kept_say_where_else(tmp_path):
     (tmp_path / "file").touch()
     with (
-        pytest.raises(ConfigurationError, match="cannot be kept there .*--states OTHER-FOLDER"),
+        pytest.raises(ConfigurationError, match=r"cannot be kept there .*--states OTHER-FOLDER"),
         checkpoints.held(tmp_path / "file" / "states"),
     ):
         pass
