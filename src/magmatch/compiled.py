@@ -18,7 +18,6 @@ from typing import Any
 
 from numba import njit, types
 from numba.core import event, sigutils
-from numba.core.dispatcher import Dispatcher
 
 log = logging.getLogger(__name__)
 # Above information and below a warning: to be told at once.
@@ -40,10 +39,10 @@ class Keeping:
 
     def __call__(self, loop: Any) -> Any:
         """Have a loop kept."""
-        if not isinstance(loop, Dispatcher):  # numba is told to compile nothing
+        if not hasattr(loop, "enable_caching"):  # numba is told to compile nothing
             return loop
         try:
-            loop.enable_caching()  # type: ignore[no-untyped-call]
+            loop.enable_caching()
         except RuntimeError:  # numba's word for no folder that it can write
             self.obstacle = "neither the package's folder nor the user's cache can be written"
             return loop

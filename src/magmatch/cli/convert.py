@@ -27,7 +27,7 @@ MAP_GRIDS = (".vtk", ".ply", ".nc")
 RESULTS = (".tum", ".g2o", ".yaml")
 
 
-@command("convert", EXAMPLES, surveys=())
+@command("convert", EXAMPLES, surveys=(), reads="INPUT")
 def convert(
     source: Annotated[Path, typer.Argument(help="Survey, log, trajectory, saved map or result.", metavar="INPUT")],
     out: Annotated[
@@ -58,7 +58,8 @@ def convert(
     elif kind in {"tum", "euroc"} and suffix == ".tum":
         from magmatch.data.formats.load_trajectory import load_trajectory
 
-        load_trajectory(source, layouts.of()).save(out)
+        layout = layouts.of()
+        load_trajectory(source, layout, layout.time_unit).save(out)
     else:
         _write_survey(source, out, suffix, layouts, () if kind != "map" else MAP_GRIDS)
     say(f"Wrote {out}")

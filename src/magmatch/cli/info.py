@@ -20,7 +20,7 @@ EXAMPLES = (
 )
 
 
-@command("info", EXAMPLES, surveys=())
+@command("info", EXAMPLES, surveys=(), reads="FILE")
 def info(
     file: Annotated[
         Path, typer.Argument(help="Survey, log, saved map, trajectory or registration result.", metavar="FILE")
@@ -91,10 +91,11 @@ def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
     return facts | {"hyperparameters": numbers} | describe(field_map.survey)
 
 
-def _of_trajectory(path: Path, _layouts: Layouts) -> dict[str, Any]:
-    from magmatch.data.trajectory import Trajectory
+def _of_trajectory(path: Path, layouts: Layouts) -> dict[str, Any]:
+    from magmatch.data.formats.load_trajectory import load_trajectory
 
-    trajectory = Trajectory.load(path)
+    layout = layouts.of()
+    trajectory = load_trajectory(path, layout, layout.time_unit)
     times, p = trajectory.times, trajectory.positions
     return {
         "poses": len(times),

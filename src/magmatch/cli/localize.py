@@ -27,7 +27,7 @@ EXAMPLES = (
 )
 
 
-@command("localize", EXAMPLES, surveys=())
+@command("localize", EXAMPLES, surveys=(), reads="LOG")
 def localize(
     place: Annotated[Path, typer.Argument(help="A saved map, its index, or a folder of maps.", metavar="MAP")],
     log: Annotated[

@@ -27,7 +27,7 @@ EXAMPLES = (
 )
 
 
-@command("prepare", EXAMPLES, surveys=())
+@command("prepare", EXAMPLES, surveys=(), reads="LOG")
 def prepare(
     log: Annotated[Path, typer.Argument(help="Raw log: a survey with orientations.", metavar="LOG")],
     out: Annotated[Path, typer.Option(help="Write the survey here (CSV).")],
@@ -43,7 +43,8 @@ def prepare(
         Path | None,
         typer.Option(
             help="Start from a known calibration: the report (JSON) of another log, or a CSV of bx,by,bz (sensor "
-            "frame) recorded while rotating the sensor in one place."
+            "frame) recorded while rotating the sensor in one place, to which --field-unit, --columns and --recover "
+            "apply too."
         ),
     ] = None,
     place: Annotated[
@@ -103,7 +104,7 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     """Known correction of the sensor, from a report or a recording made while rotating it."""
-    from magmatch.data.survey_columns import FIELD_COLUMNS
+    from magmatch.data.survey_columns import FIELD_COLUMNS, wanted_columns
     from magmatch.data.tables.table import read_table
     from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
@@ -112,7 +113,8 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
 
     if read_bytes(path, 64).lstrip()[:1] == b"{":
         return PreparationReport.load(path).sensor
-    table = read_table(path, FIELD_COLUMNS)
+    known = wanted_columns(layout.column_names())
+    table = read_table(path, known, recover=layout.recover).renamed(known)
     table.require(FIELD_COLUMNS, "A recording of a rotating sensor needs only these")
     try:
         return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]

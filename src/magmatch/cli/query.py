@@ -24,7 +24,7 @@ def query(
         Path, typer.Argument(help="CSV with columns x, y, z in the map's frame.", metavar="POINTS.csv")
     ],
     out: Annotated[Path, typer.Option(help="Write here (CSV).")],
-    length_unit: Annotated[str, typer.Option(help="Unit of the points: m|cm|mm.")] = "m",
+    length_unit: Annotated[str, typer.Option(help="POINTS.csv: unit of the points, m|cm|mm.")] = "m",
     gradient: Annotated[bool, typer.Option("--gradient", help="Add the field's gradient, T/m.")] = False,
 ) -> None:
     """Write MAP's field at given points.

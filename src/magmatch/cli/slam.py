@@ -33,7 +33,7 @@ EXAMPLES = (
 SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
 
 
-@command("slam", EXAMPLES, surveys=())
+@command("slam", EXAMPLES, surveys=(), reads="every LOG")
 def slam(
     logs: Annotated[
         list[Path],
@@ -56,7 +56,7 @@ def slam(
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of the logs is not up.")] = False,
     anchors: Annotated[
         Path | None,
-        typer.Option(help="Known positions of logs at given times: a table log,t,x,y,z,sd (s and m)."),
+        typer.Option(help="Known positions of logs at given times: a table log,t,x,y,z,sd, always in s and m."),
     ] = None,
     is_more: Annotated[
         bool,

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from pydantic import ValidationError
 
-from magmatch.cli.command import Layouts, command
+from magmatch.cli.command import Layouts, command, flag_of
 from magmatch.cli.inputs import read_result, read_survey_or_map
 from magmatch.cli.narration import put, say
+from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import ConfigurationError
 
@@ -27,7 +28,7 @@ EXAMPLES = (
 )
 
 
-@command("view", EXAMPLES, surveys=())
+@command("view", EXAMPLES, surveys=("base", "target"), reads="every FILE")
 def view(
     files: Annotated[
         list[Path],
@@ -67,13 +68,18 @@ def view(
 
         require_viser()
     results = [path for path in files if sniff(path) == "registration"]
-    drawn = [read_survey_or_map(path, layouts) for path in files if path not in results]
-    if len(results) > 1 or (results and len(drawn) not in {0, 2}):
+    others = [path for path in files if path not in results]
+    if len(results) > 1 or (results and len(others) not in {0, 2}):
         msg = (
             "expected surveys and maps, or one registration result, alone or with its base and target; "
-            f"found {len(results)} results and {len(drawn)} surveys or maps"
+            f"found {len(results)} results and {len(others)} surveys or maps"
         )
         raise ConfigurationError(msg)
+    own = next((place for place in layouts.given if place[0]), None)
+    if own and not (results and others):
+        refuse(flag_of(*own), "a registration result with its base and target", "none")
+    sides = ("base", "target") if results else ("",) * len(others)
+    drawn = [read_survey_or_map(path, layouts, side) for path, side in zip(others, sides, strict=False)]
     if (live or rerun) and not drawn:
         msg = "a registration result alone has nothing in space; give its base and target too"
         raise ConfigurationError(msg)

@@ -154,7 +154,10 @@ def _read_phone(
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
-    return _joined(recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor")), layout)
+    return _joined(
+        recording_of_table(read_euroc_field(path, recover=layout.recover), layout.settled(field_frame="sensor")),
+        layout,
+    )
 
 
 Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]

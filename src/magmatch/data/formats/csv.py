@@ -6,15 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
-from magmatch.data.tables.quaternions import QUATERNION
+from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
+from magmatch.errors import DataFormatError
 from magmatch.typing import Points
 
 logger = logging.getLogger(__name__)
@@ -38,8 +42,24 @@ def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
         survey = recording_of_table(table, layout).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)
     _require_own_poses(table)
+    table = _carried(table, layout)
     survey = Survey.from_table(table, layout.field_unit, layout.length_unit, layout.field_frame)
     return survey if layout.pose_sd is None else replace(survey, pose_sd=layout.pose_sd)
+
+
+def _carried(table: Table, layout: SurveyFormat) -> Table:
+    """The table with the sensor's poses, where its own are those of a body that carries the sensor."""
+    if layout.extrinsic is None:
+        return table
+    turns = rotations_of(table)
+    if turns is None:
+        message = "--extrinsic needs orientations, to tell where on the body the sensor is: columns qx, qy, qz, qw"
+        raise DataFormatError(table.path, message)
+    T_body_sensor = read_extrinsic(layout.extrinsic)
+    lever = turns.apply(T_body_sensor.translation) / METRE_PER_UNIT[layout.length_unit]
+    poses = np.hstack([table.stack(*POSITION_COLUMNS) + lever, (turns * T_body_sensor.rotation).as_quat()])
+    names = (*POSITION_COLUMNS, *QUATERNION)
+    return replace(table, columns=table.columns | dict(zip(names, poses.T, strict=True)))
 
 
 def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:

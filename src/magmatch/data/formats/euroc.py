@@ -17,23 +17,23 @@ POSE_COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 FIELD_COLUMNS = ("t", "bx", "by", "bz")
 
 
-def read_euroc_trajectory(path: str | Path) -> Trajectory:
+def read_euroc_trajectory(path: str | Path, *, recover: bool) -> Trajectory:
     """Read the poses of a ground truth or an estimate."""
-    return Trajectory.from_table(_read(path, POSE_COLUMNS))
+    return Trajectory.from_table(_read(path, POSE_COLUMNS, recover=recover))
 
 
-def read_euroc_field(path: str | Path) -> Table:
+def read_euroc_field(path: str | Path, *, recover: bool) -> Table:
     """Read the rows of a magnetometer."""
-    return _read(path, FIELD_COLUMNS)
+    return _read(path, FIELD_COLUMNS, recover=recover)
 
 
-def _read(path: str | Path, names: tuple[str, ...]) -> Table:
+def _read(path: str | Path, names: tuple[str, ...], *, recover: bool) -> Table:
     """Rows with their stamps as seconds, rounded once."""
     n_columns = _width(path)
     if n_columns < len(names):
         raise DataFormatError(path, f"expected rows of {', '.join(names)}; found {n_columns} cells")
     rest = tuple(f"column {k + 1}" for k in range(len(names), n_columns))
-    table = read_table(path, names, (*names, *rest))
+    table = read_table(path, names, (*names, *rest), recover=recover)
     table.require_increasing("t")
     stamps = _stamps(path, table)
     times = seconds_of(stamps.tolist())

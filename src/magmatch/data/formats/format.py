@@ -17,19 +17,26 @@ class SurveyFormat(Settings):
     """How to read a survey file; the defaults are the package's own units and frame."""
 
     field_unit: FieldUnit = Field(default="T", description="Unit of the field (phone logs: uT).")
-    length_unit: LengthUnit = Field(default="m", description="Unit of the positions (in a trajectory file too).")
+    length_unit: LengthUnit = Field(
+        default="m", description="Unit of the positions that are used: the file's own, or those of --trajectory."
+    )
     field_frame: Literal["survey", "sensor"] = Field(
         default="survey",
         description="Frame of the field vectors: the survey's, or the sensor's, which needs orientations. Default "
         "for bags, MCAP and phone logs: sensor, unless they name the survey's frame.",
     )
-    time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
+    time_unit: TimeUnit = Field(
+        default="s", description="Unit of the times in a table (those of --trajectory: --trajectory-time-unit)."
+    )
     columns: str | None = Field(
         default=None, description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,..."
     )
     trajectory: Path | None = Field(
         default=None,
         description="Take the poses from this TUM (t x y z qx qy qz qw) or EuRoC file, interpolated in time.",
+    )
+    trajectory_time_unit: TimeUnit = Field(
+        default="s", description="Unit of the times in the TUM file of --trajectory."
     )
     mag_topic: str | None = Field(default=None, description="Topic of the field, if a log has several.")
     pose_topic: str | None = Field(default=None, description="Topic of the poses, if a log has several.")
@@ -43,7 +50,9 @@ class SurveyFormat(Settings):
         "tf or the robot's description, else no offset.",
     )
     recover: bool = Field(
-        default=False, description="Read the intact part of a damaged log or survey CSV, and report what was lost."
+        default=False,
+        description="Read the intact part of a damaged log or table (not Parquet), and of --trajectory, and report "
+        "what was lost.",
     )
     # None: the file's value (files written by this package have one), else 0, which means unknown or exact.
     pose_sd: float | None = Field(

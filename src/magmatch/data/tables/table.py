@@ -75,7 +75,8 @@ class Table:
             row = int(wrong[0]) + 1
             kind = "repeats" if values[row] == values[row - 1] else "runs backward"
             message = (
-                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times"
+                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times "
+                "of one recording, whose rows are sorted by time"
             )
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
 

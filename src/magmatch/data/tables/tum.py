@@ -13,9 +13,9 @@ from magmatch.typing import Points, Scalars
 TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
-def read_tum(path: str | Path) -> Table:
+def read_tum(path: str | Path, *, recover: bool | None = None) -> Table:
     """Read the rows of a TUM file."""
-    table = read_table(path, TUM_COLUMNS, TUM_COLUMNS)
+    table = read_table(path, TUM_COLUMNS, TUM_COLUMNS, recover=recover)
     table.require_increasing("t")
     return table
 

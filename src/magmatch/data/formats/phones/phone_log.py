@@ -116,7 +116,8 @@ def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: I
     if len(times) and behind.max() > MAX_STEP_BACK:
         row = int(np.argmax(behind > MAX_STEP_BACK))
         message = (
-            f"time runs backward by {behind[row]:.4g} s: {times[row]:.9g} s; was the clock set, or two logs joined?"
+            f"time runs backward by {behind[row]:.4g} s: {times[row]:.9g} s; two logs joined, a clock that was set, "
+            "or rows in disorder (sort them by time)?"
         )
         raise DataFormatError(path, message, line=int(lines[row]))
     distinct, kept = np.unique(times, return_index=True)
