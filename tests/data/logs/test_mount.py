@@ -115,9 +115,11 @@ def test_damage_of_tf_is_no_reason_to_refuse_what_has_its_own_poses(said, edge, 
 def test_a_goal_is_no_path_where_tf_has_one(made, flight, tmp_path):
     mag, odom = flight.series
     tf = made.replace(odom, topic="/tf", type=TF)
-    goal = made.Series("/goal_pose", POSE, odom.log_ns[:1], odom.values[:1])
+    one = made.Series("/goal_pose", POSE, odom.log_ns[:1], odom.values[:1])
+    before = made.Series("/initialpose", POSE, mag.log_ns[0] - np.array([9, 5]) * 1_000_000_000, odom.values[:2])
     expected = read_survey(made.mcap(tmp_path / "log.mcap", [mag, tf]))
-    close(read_survey(made.mcap(tmp_path / "goal.mcap", [mag, tf, goal])), expected, atol=0)
+    for goal in (one, before):
+        close(read_survey(made.mcap(tmp_path / "goal.mcap", [mag, tf, goal])), expected, atol=0)
 
 
 @pytest.mark.parametrize("slash", ["", "/"])
@@ -128,3 +130,13 @@ def test_a_topic_is_found_with_and_without_its_slash(slash, made, flight, tmp_pa
     )
     for asked in ("", "/"):
         assert len(read_survey(path, SurveyFormat(mag_topic=asked + "mag", pose_topic=asked + "p"))) == 300
+
+
+def test_a_mount_is_told_from_motion_across_batches(said, edge, caplog, monkeypatch):
+    """Few messages of each edge are held; a move between two of them, and back, is seen all the same."""
+    monkeypatch.setattr("magmatch.data.logs.log.BATCH", 16)
+    expected = said(extrinsic=" ".join(map(repr, MAST.tolist())))
+    close(said(edge(MAST, "base", "mag_link")), expected)
+    once = np.zeros((60, 1)) + 1e-3 * (np.arange(60) == 37)[:, None] * np.eye(7)[1]
+    said(edge(MAST, "base", "mag_link", added=once))
+    assert "tf moves 'mag_link' against 'base'" in caplog.text

@@ -55,6 +55,11 @@ def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
     return any(topic.count > 1 and topic.type in POSE_TYPES and topic.encoding in ENCODINGS for topic in topics)
 
 
+def share_time(field: Topic, pose: Topic | None) -> bool:
+    """Whether messages of both were logged in one stretch of time: goals may be set before the field is recorded."""
+    return pose is not None and _shared((field, pose)) > 0
+
+
 def is_named(topic: Topic, name: str) -> bool:
     """Whether a topic has a name, with or without the slash in front."""
     return topic.name.lstrip("/") == name.lstrip("/")

@@ -103,11 +103,23 @@ def fixed_edges(moving: dict[Frames, Entries], static: dict[Frames, Entries]) ->
     return {frames: _transform(part) for frames, part in (constant | static).items()}
 
 
+def extremes(part: Entries) -> Entries:
+    """The few entries of an edge that tell whether it is constant, and the one that was logged last."""
+    if len(part.number) < 2:
+        return part
+    aligned = _aligned(part.values)
+    return part.at(np.unique([*aligned.argmin(axis=0), *aligned.argmax(axis=0), _last(part)]))
+
+
 def _is_constant(values: Matrix) -> bool:
-    """Whether poses are equal but for rounding; a quaternion and its negative are one rotation."""
+    """Whether poses are equal but for rounding."""
+    return bool((np.ptp(_aligned(values), axis=0) <= ROUNDING).all())
+
+
+def _aligned(values: Matrix) -> Matrix:
+    """Poses with quaternions on the side of the first: a quaternion and its negative are one rotation."""
     signs = np.sign(values[:, 3:] @ values[0, 3:])
-    aligned = np.column_stack([values[:, :3], signs[:, None] * values[:, 3:]])
-    return bool((np.ptp(aligned, axis=0) <= ROUNDING).all())
+    return np.column_stack([values[:, :3], signs[:, None] * values[:, 3:]])
 
 
 def trajectory_of(path: Path, entries: Entries) -> Trajectory:
@@ -128,8 +140,12 @@ def distinct_seconds(entries: Entries) -> tuple[Scalars, Mask]:
 
 def _transform(part: Entries) -> RigidTransform:
     """The one logged last."""
-    last = part.values[np.argsort(part.log_ns, kind="stable")[-1]]
+    last = part.values[_last(part)]
     return RigidTransform.from_components(last[:3], Rotation.from_quat(last[3:]))
+
+
+def _last(part: Entries) -> int:
+    return int(np.argsort(part.log_ns, kind="stable")[-1])
 
 
 def path_between(edges: list[Frames], to: str, frm: str) -> list[tuple[Frames, bool]] | None:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.logs.decode import ENCODINGS, decode
-from magmatch.data.logs.frames import FrameTree, fixed_edges, path_between
+from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
 from magmatch.data.logs.log import Log, Topic, batches
 from magmatch.data.logs.messages import TREES, Entries, Frames
 from magmatch.data.logs.streams import Stream, read_streams
@@ -89,7 +89,7 @@ def _is_description(topic: Topic) -> bool:
 def _unread(log: Log, topics: Sequence[Topic]) -> dict[Frames, Entries]:
     """Edges of topics that nothing but a mount is asked of; what is damaged of them is left aside."""
     try:
-        return merged(read_streams(log, topics, recover=True)) if topics else {}
+        return merged(read_streams(log, topics, recover=True, thin=extremes)) if topics else {}
     except DataFormatError as error:
         logger.warning("%s", error)
         return {}

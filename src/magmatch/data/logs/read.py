@@ -14,7 +14,7 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import choose_topics, has_poses
+from magmatch.data.logs.choose import choose_topics, has_poses, share_time
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Entries, Frames
@@ -164,8 +164,13 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
 def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
     """Topics of the field and the poses, and those of moving frames where the poses come from them."""
     is_elsewhere = layout.trajectory is not None
+    moving = [topic for topic in trees(topics) if not is_static(topic)]
     has_own = not is_elsewhere and layout.pose_frames is None and has_poses(topics, layout.pose_topic)
-    moving = [] if is_elsewhere or has_own else [topic for topic in trees(topics) if not is_static(topic)]
+    if has_own:
+        field, pose = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=True)
+        if layout.pose_topic is not None or not moving or share_time(field, pose):
+            return field, pose, []
+    moving = [] if is_elsewhere else moving
     # Where poses are nowhere else, the choice says what is missing.
-    needs_pose = has_own or not (is_elsewhere or moving or layout.pose_frames)
+    needs_pose = not (is_elsewhere or moving or layout.pose_frames)
     return *choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=needs_pose), moving

@@ -44,12 +44,16 @@ class Stream:
         return replace(self, entries={frames: part for frames, part in entries.items() if len(part.number)})
 
 
-def read_streams(log: Log, topics: Sequence[Topic], *, recover: bool) -> list[Stream]:
+def read_streams(
+    log: Log, topics: Sequence[Topic], *, recover: bool, thin: Callable[[Entries], Entries] | None = None
+) -> list[Stream]:
     """Read the whole messages of some topics in one pass over the log.
 
     DataFormatError names the first message that is damaged or holds no numbers; with `recover` these are left out.
+    `thin` leaves few of the whole messages of an edge, wherever not all are needed.
     """
-    decoders = {topic.channel: Decoder() for topic in topics}
+    thinned = None if thin is None else lambda part: thin(_whole(part, []))
+    decoders = {topic.channel: Decoder(thinned) for topic in topics}
     for channel, log_ns, payloads in batches(log.messages({topic.name for topic in topics})):
         if channel in decoders:
             decoders[channel].take(channel, log_ns, payloads)
