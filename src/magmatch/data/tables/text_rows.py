@@ -2,13 +2,38 @@
 """Cells of text rows: names in the first row, numbers in the others, faults by line and column."""
 
 import csv
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from magmatch.data.tables.nanoseconds import LARGEST_WHOLE, seconds_of_text
+from magmatch.data.tables.number_marks import Decimal, Doubt, decimal_of, is_number, number_of_text
 from magmatch.errors import DataFormatError
 from magmatch.typing import Matrix
+
+
+class ForeignNumberError(DataFormatError):
+    """A row holds numbers, but written in a way that is not read: no damage, and not to be left out."""
+
+
+RECOVER = "; --recover leaves such rows out"
+# What spreadsheets write where a formula has no value (English and German): no comment.
+_SHEET_ERROR = re.compile(r"#(?:N/A|NV|(?:DIV/0|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NULL)!|NAME\?)\s*[,;\t]")
+
+
+def is_row(line: str) -> bool:
+    """Whether a line is none that is blank or a comment; delimiters alone are what spreadsheets write for a blank."""
+    text = line.strip()
+    return bool(text.strip(",; \t")) and (text[0] != "#" or _SHEET_ERROR.match(text) is not None)
+
+
+def stated_delimiter(line: str) -> str | None:
+    """The mark that a first line such as ``sep=;`` states, by which spreadsheets are told what separates cells."""
+    found = re.fullmatch(r"""["']?sep=(.)["']?[,;\s]*""", line.strip(" \ufeff"), re.IGNORECASE)
+    return found[1] if found else None
 
 
 def delimiter_of(path: str | Path, first: str, line: int) -> str | None:
@@ -68,23 +93,73 @@ def cells_of(
             message = f"expected {width} cells ({listed(names)}), found {len(row)}"
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
+            if delimiter == "," and len(row) > width and all(map(is_number, row)):
+                advice = "if numbers have decimal commas, write points, or separate the cells by semicolons"
+                raise ForeignNumberError(path, f"{message}; {advice}", line=i + 1)
             raise DataFormatError(path, message, line=i + 1)
     return cells
 
 
-def numbers_of(path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]) -> Matrix:
-    """Wanted columns of some rows, one cell at a time."""
+def numbers_of(
+    path: str | Path,
+    chunk: list[int],
+    rows: list[list[str]],
+    wanted: Mapping[str, int],
+    decimal: Decimal = "point",
+    digits: Mapping[str, int] | None = None,
+) -> Matrix:
+    """Wanted columns of some rows, one cell at a time; `digits` as in `read_table`."""
+    places = list(wanted.values())
     try:
-        block = np.array([[float(row[k]) for k in wanted.values()] for row in rows])
-        if np.isfinite(block).all():
-            return block
+        if decimal != "point":
+            raise ValueError  # noqa: TRY301
+        block = np.array([[float(row[k]) for k in places] for row in rows])
     except ValueError:
-        pass
-    raise _first_fault(path, chunk, rows, wanted)
+        try:
+            block = np.array([[number_of_text(row[k], decimal) for k in places] for row in rows])
+        except ValueError:
+            raise _first_fault(path, chunk, rows, wanted, decimal) from None
+    if not np.isfinite(block).all():
+        raise _first_fault(path, chunk, rows, wanted, decimal)
+    return in_units(block, rows, wanted, decimal, digits or {})
+
+
+def decimal_of_cells(
+    path: str | Path,
+    rows: Iterable[tuple[int, Sequence[str]]],
+    names: Sequence[str],
+    stated: Decimal | Literal[""] | None = None,
+) -> Decimal:
+    """The decimal mark of rows (line, cells of named columns); one that they leave in doubt is refused.
+
+    `stated` as in `read_table`.
+    """
+    found = decimal_of(rows, stated or None)
+    if not isinstance(found, Doubt):
+        return found
+    point, comma = found.values
+    advice = f"write {point} or {comma}"
+    if stated is not None:
+        advice += f", or state the mark: --decimal point reads {point}, --decimal comma {comma}"
+    raise DataFormatError(path, f"{found.words}; {advice}", line=found.line, column=names[found.column])
+
+
+def in_units(
+    block: Matrix, rows: list[list[str]], wanted: Mapping[str, int], decimal: Decimal, digits: Mapping[str, int]
+) -> Matrix:
+    """Columns of a block in whole units, rounded once: what float64 cannot hold is taken from the cells again."""
+    for column, name in enumerate(wanted):
+        if places := digits.get(name, 0):
+            values, k = block[:, column], wanted[name]
+            if (np.abs(values) < LARGEST_WHOLE).all() and (values == np.rint(values)).all():
+                block[:, column] = values / 10.0**places
+            else:
+                block[:, column] = [seconds_of_text(row[k], places, decimal) for row in rows]
+    return block
 
 
 def _first_fault(
-    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]
+    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int], decimal: Decimal
 ) -> DataFormatError:
     """Find the first cell that is not a finite number (slow, so done only once one is known to be there)."""
     for i, row in zip(chunk, rows, strict=True):
@@ -92,15 +167,28 @@ def _first_fault(
             text = row[k].strip()
             if not text:
                 return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
-            if not is_number(text):
-                hint = " (write decimals with a point)" if is_number(text.replace(",", ".")) else ""
-                hint = " (times are numbers, such as seconds since 1970)" if text.count(":") > 1 else hint
-                return DataFormatError(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
-            if not np.isfinite(float(text)):
+            try:
+                value = number_of_text(text, decimal)
+            except ValueError:
+                kind, hint = advice_on(text, decimal)
+                return kind(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
+            if not np.isfinite(value):
                 message = f"expected a finite number, found {text[:40]!r}; remove the row or repair it"
                 return DataFormatError(path, message, line=i + 1, column=name)
     msg = "a fault was reported but none found"
     raise AssertionError(msg)
+
+
+def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
+    """What to do about a cell that is no number; rows of digits are no damage."""
+    if text.count(":") > 1:
+        return DataFormatError, " (times are numbers, such as seconds since 1970)"
+    if is_number(text):
+        others = "points" if decimal == "point" else "commas"
+        return ForeignNumberError, f", where other numbers have decimal {others} (write all decimals with a point)"
+    if any(character.isdigit() for character in text):
+        return ForeignNumberError, " (write it without unit, brackets or other signs, such as -1234.5)"
+    return DataFormatError, ""
 
 
 def listed(names: Sequence[str]) -> str:
@@ -115,12 +203,3 @@ def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, 
     for theirs, ours in stated.items():
         if theirs not in there:
             raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
-
-
-def is_number(text: str) -> bool:
-    """Whether a cell reads as a number (which may be nan or inf)."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
