@@ -83,9 +83,10 @@ def words_of(line: str) -> list[str]:
 
 def _name_of(word: str, lone: str) -> tuple[str, str]:
     """Our name of a column ("" where it is not known, "?" where it is something else), and the unit it states."""
-    brackets = _BRACKETS.search(word.lower())
+    word = re.sub(r"^[^:]*:\s+", "", word.lower())  # "format: t"
+    brackets = _BRACKETS.search(word)
     unit = _UNITS.get(brackets[1].strip(), "") if brackets else ""
-    parts = re.findall(r"[^\W\d_]+|\d+", _BRACKETS.sub("", word.lower()))
+    parts = re.findall(r"[^\W\d_]+|\d+", _BRACKETS.sub("", word))
     if len(parts) > 1 and parts[-1] in _UNITS:
         unit = unit or _UNITS[parts.pop()]
     if not parts:

@@ -17,7 +17,7 @@ _TAGS: Mapping[str, Sensor] = {"MAGN": "field", "ACCE": "acceleration", "GYRO": 
 _NAMES = ("app time", "sensor time", "x", "y", "z")
 # The lines above the rows may name the columns: ``% MAGN: 'MAGN;AppTimestamp(s);SensorTimestamp(s);Mag_X(uT);...'``.
 _NAMED = re.compile(r"\b(MAGN|ACCE|GYRO);([^'\"]*)")
-_ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.]+;")
+_ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.,]+;")
 # Sensors whose clocks differ by no more than this from the app's share one clock, s.
 ONE_CLOCK = 1.0
 
