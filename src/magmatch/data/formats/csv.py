@@ -2,6 +2,7 @@
 """The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
 
 import logging
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -110,6 +111,8 @@ def _advice(names: Sequence[str]) -> str:
     """What to do about a table without the columns of a survey, from the names it has."""
     if _is_global(names):
         return "Degrees of latitude and longitude are no positions in metres: project them first (UTM, a local plane)"
+    if len(names) == 1 and (mark := re.search(r"[^\w\s.()\[\]\"'/^-]", names[0])):
+        return f"If '{mark[0]}' separates the columns, write sep={mark[0]} in a line above"
     return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
 
 

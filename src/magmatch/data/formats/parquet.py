@@ -136,7 +136,9 @@ def _columns(
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
     is_number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
     if not is_number:
-        raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}", column=name)
+        raise DataFormatError(
+            path, f"expected a column of numbers, found {str(kind)[:60]}; store it as float64", column=name
+        )
 
 
 def _numbers(path: Path, name: str, column: Any, first: int, pa: Any, per_unit: float) -> Scalars:

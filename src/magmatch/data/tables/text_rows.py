@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from magmatch.data.tables.header_names import words_of
 from magmatch.data.tables.nanoseconds import LARGEST_WHOLE, seconds_of_text
 from magmatch.data.tables.number_marks import Decimal, Doubt, decimal_of, is_number, number_of_text
 from magmatch.errors import DataFormatError
@@ -39,7 +40,8 @@ def stated_delimiter(line: str) -> str | None:
 def delimiter_of(path: str | Path, first: str, line: int) -> str | None:
     """Choose what separates the cells from the first row; None for white space."""
     if "," in first and ";" in first:
-        raise DataFormatError(path, "both ',' and ';' separate the columns here; use one of them", line=line)
+        message = "both ',' and ';' separate the columns here; use one of them, or write sep=; above for the second"
+        raise DataFormatError(path, message, line=line)
     return next((mark for mark in (",", ";", "\t") if mark in first), None)
 
 
@@ -59,14 +61,21 @@ def names_of(
         names.pop()
     if all(is_number(name) for name in names):
         message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
-        above = comments[-1].replace(",", " ").replace(";", " ").split() if comments else []
-        if len(above) == len(names) and not any(map(is_number, above)):
-            message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
-        raise DataFormatError(path, message, line=line)
+        raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=line)
     for name in names:
         if name in known and names.count(name) > 1:
-            raise DataFormatError(path, f"the column appears {names.count(name)} times", line=line, column=name)
+            raise DataFormatError(
+                path, f"the column appears {names.count(name)} times; rename the others", line=line, column=name
+            )
     return tuple(names)
+
+
+def advice_on_comments(comments: Sequence[str], n: int) -> str:
+    """What to do where a comment holds the n names that are missing."""
+    for words in map(words_of, comments):
+        if len(words) == n and not any(map(is_number, words)):
+            return "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
+    return ""
 
 
 def numbers_at_once(rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int]) -> Matrix | None:
@@ -186,7 +195,7 @@ def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
     if is_number(text):
         others = "points" if decimal == "point" else "commas"
         return ForeignNumberError, f", where other numbers have decimal {others} (write all decimals with a point)"
-    if any(character.isdigit() for character in text):
+    if not text.startswith("#") and any(character.isdigit() for character in text):  # "#DIV/0!" is none
         return ForeignNumberError, " (write it without unit, brackets or other signs, such as -1234.5)"
     return DataFormatError, ""
 

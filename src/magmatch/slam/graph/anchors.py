@@ -11,6 +11,7 @@ from magmatch.arguments import column_of, number_of, numbers_of
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import text_blocks
 from magmatch.data.tables.text_rows import (
+    advice_on_comments,
     cells_of,
     decimal_of_cells,
     delimiter_of,
@@ -89,7 +90,8 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     names = names_of(path, split_row(header, mark), first + 1, COLUMNS, comments)
     missing = [name for name in COLUMNS if name not in names]
     if missing:
-        raise DataFormatError(path, f"expected columns {', '.join(COLUMNS)}; missing {', '.join(missing)}")
+        message = f"expected columns {', '.join(COLUMNS)}; missing {', '.join(missing)}"
+        raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=first + 1)
     at = [i for i, _ in rest]
     cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
     wanted = {name: names.index(name) for name in NUMBERS}
