@@ -3,7 +3,7 @@
 
 import csv
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -120,9 +120,7 @@ def numbers_of(
     """Wanted columns of some rows, one cell at a time; `digits` as in `read_table`."""
     places = list(wanted.values())
     try:
-        if decimal != "point":
-            raise ValueError  # noqa: TRY301
-        block = np.array([[float(row[k]) for k in places] for row in rows])
+        block = _floats(rows, places, decimal)
     except ValueError:
         try:
             block = np.array([[number_of_text(row[k], decimal) for k in places] for row in rows])
@@ -130,7 +128,17 @@ def numbers_of(
             raise _first_fault(path, chunk, rows, wanted, decimal) from None
     if not np.isfinite(block).all():
         raise _first_fault(path, chunk, rows, wanted, decimal)
-    return in_units(block, rows, wanted, decimal, digits or {})
+    in_units(block, lambda k: (row[k] for row in rows), wanted, decimal, digits or {})
+    return block
+
+
+def _floats(rows: list[list[str]], places: list[int], decimal: Decimal) -> Matrix:
+    """Plain numbers, quickly; `ValueError` where any needs a closer look."""
+    if decimal == "point":
+        return np.array([[float(row[k]) for k in places] for row in rows])
+    if any("." in row[k] for row in rows for k in places):
+        raise ValueError
+    return np.array([[float(row[k].replace(",", ".")) for k in places] for row in rows])
 
 
 def decimal_of_cells(
@@ -154,17 +162,23 @@ def decimal_of_cells(
 
 
 def in_units(
-    block: Matrix, rows: list[list[str]], wanted: Mapping[str, int], decimal: Decimal, digits: Mapping[str, int]
-) -> Matrix:
-    """Columns of a block in whole units, rounded once: what float64 cannot hold is taken from the cells again."""
+    block: Matrix,
+    cells: Callable[[int], Iterable[str]],
+    wanted: Mapping[str, int],
+    decimal: Decimal,
+    digits: Mapping[str, int],
+) -> None:
+    """Turn columns of a block into whole units, rounded once: what float64 cannot hold is taken from the cells again.
+
+    `cells` gives a column of the file by its number.
+    """
     for column, name in enumerate(wanted):
         if places := digits.get(name, 0):
-            values, k = block[:, column], wanted[name]
+            values = block[:, column]
             if (np.abs(values) < LARGEST_WHOLE).all() and (values == np.rint(values)).all():
                 block[:, column] = values / 10.0**places
             else:
-                block[:, column] = [seconds_of_text(row[k], places, decimal) for row in rows]
-    return block
+                block[:, column] = [seconds_of_text(text, places, decimal) for text in cells(wanted[name])]
 
 
 def _first_fault(
