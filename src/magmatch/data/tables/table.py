@@ -24,6 +24,7 @@ from magmatch.data.tables.text_rows import (
     names_of,
     numbers_at_once,
     numbers_of,
+    split_header,
     split_row,
     stated_delimiter,
 )
@@ -171,7 +172,7 @@ class _TableReader:
         if self.delimiter is None or self.delimiter not in first:
             self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line = split_row(first, self.delimiter), start + rows.pop(0) + 1
+            cells, line = split_header(first, self.delimiter), start + rows.pop(0) + 1
             self.names = names_of(self.path, cells, line, self.known, self.comments)
 
     def _choose(self) -> None:

@@ -39,6 +39,10 @@ def stated_delimiter(line: str) -> str | None:
 
 def delimiter_of(path: str | Path, first: str, line: int) -> str | None:
     """Choose what separates the cells from the first row; None for white space."""
+    for mark in (";", None):  # between numbers with decimal commas
+        cells = [cell.strip() for cell in first.split(mark)]
+        if "," in first and len(cells) > 1 and all(is_number(cell) and cell[-1] != "," for cell in cells):
+            return mark
     if "," in first and ";" in first:
         message = "both ',' and ';' separate the columns here; use one of them, or write sep=; above for the second"
         raise DataFormatError(path, message, line=line)
@@ -50,6 +54,12 @@ def split_row(text: str, delimiter: str | None) -> list[str]:
     if delimiter is not None and '"' in text:
         return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
     return text.split(delimiter)
+
+
+def split_header(first: str, delimiter: str | None) -> list[str]:
+    """Cells of the first row; units in brackets belong to the names before them."""
+    has_marks = delimiter is not None or any(mark in first for mark in ",;\t")
+    return split_row(first, delimiter) if has_marks else words_of(first)
 
 
 def names_of(
@@ -103,7 +113,7 @@ def cells_of(
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
             if delimiter == "," and len(row) > width and all(map(is_number, row)):
-                advice = "if numbers have decimal commas, write points, or separate the cells by semicolons"
+                advice = "numbers that hold commas need quotes, or semicolons between the cells"
                 raise ForeignNumberError(path, f"{message}; {advice}", line=i + 1)
             raise DataFormatError(path, message, line=i + 1)
     return cells
