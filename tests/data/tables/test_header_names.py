@@ -85,6 +85,9 @@ def test_a_table_of_poses_may_have_decimal_commas(decimal, tmp_path):
 CONTRADICTIONS = [
     ("# t x y z qw a b c", "t x y z qw qx qy qz", " ", "'qw' stands where qx is expected"),
     ("# time x y z q0 q1 q2 q3", "t x y z qw qx qy qz", " ", "'q0' stands where qx is expected"),
+    ("# time x y z q[0] q[1] q[2] q[3]", "t x y z qw qx qy qz", " ", "'q[0]' stands where qx is expected"),
+    ("# time x y z qr qi qj qk", "t x y z qw qx qy qz", " ", "'qr' stands where qx is expected"),
+    ("# time x y z qw qx qy", "t x y z qw qx qy qz", " ", "'qw' stands where qx is expected"),
     ("# t z y x qx qy qz qw extra", "t z y x qx qy qz qw vx", " ", ""),
     ("# time x y z w x y z", "t x y z qw qx qy qz", " ", "'w' stands where qx is expected"),
     ("# time vx vy vz qx qy qz qw", "t vx vy vz qx qy qz qw", " ", "'vx' stands where x is expected"),

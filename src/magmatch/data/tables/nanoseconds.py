@@ -41,7 +41,7 @@ def seconds_of_text(cell: str, digits: int, decimal: Decimal = "point") -> float
     (1700000000.1234567, 1.5)
     """
     if cell.isdecimal():
-        return int(cell) / 10**digits  # which Python rounds once
+        return int(cell) / int(10**digits)  # which Python rounds once
     mantissa, _, exponent = python_text(cell, decimal).lower().partition("e")
     return float(f"{mantissa}e{int(exponent or 0) - digits}")
 

@@ -101,7 +101,7 @@ def _comment(path: str | Path, top: _Top, order: Sequence[str], lone: str) -> He
             if header.names_all(order):
                 return header
         header = _read_names(words, order, lone)
-        if len(words) == n and 2 * sum(map(bool, header.names[: len(order)])) >= len(order):
+        if len(order) - 1 <= len(words) <= n and 2 * sum(map(bool, header.names[: len(order)])) >= len(order):
             if disagreement := header.against(order):
                 advice = f"name all columns in the comment ({' '.join(order)}), or remove it if they stand so"
                 raise DataFormatError(path, f"in the comment '{comment[:60]}' {disagreement}; {advice}")
