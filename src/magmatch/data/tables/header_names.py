@@ -57,7 +57,7 @@ class Header:
     def against(self, wanted: Sequence[str]) -> str:
         """The first word that does not fit where a column of this order should be; empty where all may."""
         for word, name, expected in zip(self.words, self.names, wanted, strict=False):
-            # An axis alone says nothing about the kind: x y z x y z w. Numbers say nothing about where w is: q0, q[1].
+            # An axis alone says nothing about the kind: x y z x y z w. Of q0, q[1] nobody knows which is w.
             is_axis = _BRACKETS.sub("", word.lower()) == expected[-1]
             is_part = not name and word.lower().startswith("q")
             if is_part or not (name in ("", expected) or is_axis):
