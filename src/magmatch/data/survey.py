@@ -229,7 +229,8 @@ class Survey:
         ----------
         df : DataFrame
             Columns ``x, y, z, bx, by, bz``, and ``t, qx, qy, qz, qw`` where known; others are ignored, and so is an
-            index that is not named as one of them. Times may be dates.
+            index, unless it is named as one of them, or there is no ``t`` and it holds increasing dates. Times may
+            be dates.
         field_unit, length_unit, time_unit : str
             Units of the numbers: ``"uT"``, ``"mm"``, ``"ms"`` and so on.
         columns : dict of str to str, optional

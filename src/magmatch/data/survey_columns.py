@@ -2,6 +2,7 @@
 """Which columns a table of a survey has, and what a survey is made of them: files, DataFrames and Datasets alike."""
 
 import json
+import logging
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
@@ -9,9 +10,11 @@ import numpy as np
 
 from magmatch.arguments import found
 from magmatch.data.tables.frames import table_of_frame
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.units import (
+    DIGITS_OF_SECOND,
     METRE_PER_UNIT,
     TESLA_PER_UNIT,
     UNITS_PER_SECOND,
@@ -22,6 +25,8 @@ from magmatch.data.units import (
 )
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
+
+logger = logging.getLogger(__name__)
 
 POSITION_COLUMNS = ("x", "y", "z")
 FIELD_COLUMNS = ("bx", "by", "bz")
@@ -36,6 +41,19 @@ FieldFrame = Literal["survey", "sensor"]
 def wanted_columns(theirs: Mapping[str, str]) -> dict[str, str]:
     """Our names of all columns of a survey by the file's, which are alike where none is stated."""
     return {**theirs, **{name: name for name in COLUMNS if name not in theirs.values()}}
+
+
+def digits_of_times(known: Mapping[str, str], unit: TimeUnit) -> dict[str, int]:
+    """Unit of the times among columns {theirs: ours}, as a power of ten, as `read_table` takes it."""
+    return {theirs: DIGITS_OF_SECOND[unit] for theirs, ours in known.items() if ours == "t"}
+
+
+def warn_of_unused_times(table: Table) -> None:
+    """Say so where a table has no column of times, but one whose name says that it holds some."""
+    for name in () if table.has("t") else table.names:
+        if header_of([name]).names == ("t",):
+            words = "%s: has no column t, and '%s' is left out; if it holds the times: --columns t=%s"
+            logger.warning(words, table.path, name, name)
 
 
 def survey_arguments(
@@ -63,9 +81,9 @@ def survey_arguments(
 
 def survey_table(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
     """Table of a DataFrame's columns (``theirs``: {ours: theirs}), times in s."""
-    table = table_of_frame(df, name, COLUMNS, theirs, texts=(FRAME_COLUMN,))
-    if table.has("t"):
-        table.columns["t"] = table.columns["t"] / size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
+    per_second = size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
+    table = table_of_frame(df, name, COLUMNS, theirs, per_second, texts=(FRAME_COLUMN,))
+    warn_of_unused_times(table)
     return table
 
 

@@ -78,11 +78,11 @@ class Trajectory:
         positions = np.column_stack([np.interp(times, self.times, axis) for axis in self.positions.T])
         return positions, Slerp(self.times, self.orientations)(times)
 
-    def scaled(self, metre_per_unit: float, units_per_second: float = 1.0) -> "Trajectory":
-        """Positions in metres and times in seconds, where they came in other units."""
-        if metre_per_unit == units_per_second == 1:
+    def scaled(self, metre_per_unit: float) -> "Trajectory":
+        """Positions in metres, where they came in another unit."""
+        if metre_per_unit == 1:
             return self
-        return Trajectory(self.times / units_per_second, self.positions * metre_per_unit, self.orientations)
+        return Trajectory(self.times, self.positions * metre_per_unit, self.orientations)
 
     def save(self, path: str | Path) -> None:
         """Write the trajectory as a TUM file."""
@@ -90,7 +90,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | Path) -> "Trajectory":
-        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres.
+        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres, or as its header says.
 
         Raises
         ------

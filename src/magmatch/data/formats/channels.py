@@ -10,9 +10,8 @@ import numpy as np
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.parquet import read_other_columns
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.survey_columns import COLUMNS
+from magmatch.data.survey_columns import COLUMNS, digits_of_times
 from magmatch.data.tables.table import read_table
-from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars
 
@@ -58,26 +57,25 @@ def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
         times, columns = read_other_columns(path, layout, MAX_CHANNELS)
     else:
         return NO_CHANNELS
-    if times is not None:
-        times = times / UNITS_PER_SECOND[layout.time_unit]
     return Channels({name: Channel(times, values) for name, values in columns.items()})
 
 
 def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dict[str, Scalars]]:
-    """Times in the file's unit, and the other columns."""
+    """Times in s, and the other columns."""
     theirs = layout.column_names()
     own = {*theirs, *COLUMNS}
-    table = read_table(path, own, recover=layout.recover)
+    clock = next((name for name, ours in theirs.items() if ours == "t"), "t")
+    digits = digits_of_times({clock: "t"}, layout.time_unit)
+    table = read_table(path, own, recover=layout.recover, decimal=layout.decimal or "", digits=digits)
     columns: dict[str, Scalars] = {}
     for name in table.names:
         if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
             continue
         try:
-            other = read_table(path, (name,), recover=layout.recover)
+            other = read_table(path, (name,), recover=layout.recover, decimal=table.decimal)
         except DataFormatError:
             continue
         is_there = np.isin(other.line_numbers, table.line_numbers)
         if is_there.sum() == len(table):
             columns[name] = other.columns[name][is_there]
-    clock = next((name for name, ours in theirs.items() if ours == "t"), "t")
     return table.columns.get(clock), columns

@@ -2,6 +2,7 @@
 """The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
 
 import logging
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +14,18 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
-from magmatch.data.tables.quaternions import QUATERNION, rotations_of
+from magmatch.data.survey_columns import (
+    FIELD_COLUMNS,
+    FRAME_COLUMN,
+    POSITION_COLUMNS,
+    digits_of_times,
+    wanted_columns,
+    warn_of_unused_times,
+)
+from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text_rows import require_stated
-from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
 from magmatch.typing import Points
 
@@ -28,16 +36,38 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
     stated = layout.column_names()
     known = wanted_columns(stated)
-    table = read_table(path, known, recover=layout.recover, advise=_advice, texts=(FRAME_COLUMN,))
+    table = read_table(
+        path,
+        known,
+        recover=layout.recover,
+        advise=_advice,
+        texts=(FRAME_COLUMN,),
+        decimal=layout.decimal or "",
+        digits=digits_of_times(known, layout.time_unit),
+    )
     require_stated(path, table.names, stated)
-    return survey_of_table(table.renamed(known), layout)
+    table = table.renamed(known)
+    _warn_of_unnamed(table, layout)
+    return survey_of_table(table, layout)
+
+
+def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
+    """Say that a column without a name is left out, unless it counts the rows: pandas so writes an index of times."""
+    if "" not in table.names or table.has("t"):
+        return
+    path = table.path
+    try:
+        values = read_table(path, ("",), recover=layout.recover, decimal=table.decimal).columns[""]
+        is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
+    except DataFormatError:
+        is_count = False
+    if not is_count:
+        logger.warning("%s: a column without a name is left out; if it holds times, name it t in the header", path)
 
 
 def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
-    """Turn a table of samples, from whatever format, into a survey."""
-    if table.has("t") and layout.time_unit != "s":
-        times = table.columns["t"] / UNITS_PER_SECOND[layout.time_unit]
-        table = replace(table, columns=table.columns | {"t": times})
+    """Turn a table of samples, from whatever format, into a survey; its times are in s."""
+    warn_of_unused_times(table)
     if layout.trajectory is not None:
         survey = recording_of_table(table, layout).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)
@@ -98,6 +128,8 @@ def _advice(names: Sequence[str]) -> str:
     """What to do about a table without the columns of a survey, from the names it has."""
     if _is_global(names):
         return "Degrees of latitude and longitude are no positions in metres: project them first (UTM, a local plane)"
+    if len(names) == 1 and (mark := re.search(r"[^\w\s.()\[\]\"'/^-]", names[0])):
+        return f"If '{mark[0]}' separates the columns, write sep={mark[0]} in a line above"
     return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
 
 

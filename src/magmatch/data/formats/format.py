@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
 from magmatch.settings import Settings
@@ -27,6 +28,9 @@ class SurveyFormat(Settings):
     )
     time_unit: TimeUnit = Field(
         default="s", description="Unit of the times in a table (those of --trajectory: --trajectory-time-unit)."
+    )
+    decimal: Decimal | None = Field(
+        default=None, description="Decimal mark of a table's numbers, where they leave it in doubt (17,971)."
     )
     columns: str | None = Field(
         default=None, description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,..."

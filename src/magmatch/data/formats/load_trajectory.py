@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poses from a file of their own: TUM or EuRoC, told by content."""
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from magmatch.data.formats.euroc import read_euroc_trajectory
@@ -11,32 +10,25 @@ from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.tables.tum import read_tum
 from magmatch.data.trajectory import Trajectory
-from magmatch.data.units import METRE_PER_UNIT, UNITS_PER_SECOND, TimeUnit
+from magmatch.data.units import METRE_PER_UNIT, TimeUnit
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars, Vectors
 
-
-def _read_tum(path: str | Path, *, recover: bool) -> Trajectory:
-    return Trajectory.from_table(read_tum(path, recover=recover))
-
-
-TRAJECTORY_READERS: Mapping[FileKind, Callable[..., Trajectory]] = {
-    "tum": _read_tum,
-    "csv": _read_tum,  # whose error says what a TUM file looks like
-    "euroc": read_euroc_trajectory,
-}
+# Files of poses; the reader of TUM says what is wrong with other tables.
+TRAJECTORY_KINDS: tuple[FileKind, ...] = ("tum", "csv", "euroc")
 
 
 def load_trajectory(path: str | Path, layout: SurveyFormat, time_unit: TimeUnit | None = None) -> Trajectory:
-    """Read a trajectory file, in metres and seconds; times of a TUM file are in the layout's unit unless stated."""
+    """Read a trajectory file, in metres and seconds; times are in the layout's unit unless the file says otherwise."""
     kind = sniff(path)
-    if kind not in TRAJECTORY_READERS:
-        message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw) or EuRoC"
+    if kind not in TRAJECTORY_KINDS:
+        message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw), EuRoC or a table of these"
         raise DataFormatError(path, message)
-    # EuRoC files state nanoseconds themselves.
-    unit = "s" if kind == "euroc" else time_unit or layout.trajectory_time_unit
-    read = TRAJECTORY_READERS[kind](path, recover=layout.recover)
-    return read.scaled(METRE_PER_UNIT[layout.length_unit], UNITS_PER_SECOND[unit])
+    unit, metre = layout.length_unit, METRE_PER_UNIT[layout.length_unit]
+    if kind == "euroc":
+        return read_euroc_trajectory(path, unit, recover=layout.recover).scaled(metre)
+    table = read_tum(path, unit, time_unit or layout.trajectory_time_unit, recover=layout.recover)
+    return Trajectory.from_table(table).scaled(metre)
 
 
 def with_poses(

@@ -12,9 +12,11 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.mat5 import Mat5
 from magmatch.data.survey_columns import wanted_columns
 from magmatch.data.tables.gzipped import most_unpacked, plain_file
+from magmatch.data.tables.nanoseconds import seconds_of_column
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.text_rows import listed
+from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
@@ -41,7 +43,10 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
             raise DataFormatError(place, f"is a damaged MATLAB file ({words})") from None
         lower = {name.lower(): name for name in arrays}
         columns = {
-            ours: _column(place, name, arrays[lower[name.partition(":")[0]]])
+            ours: seconds_of_column(
+                _column(place, name, arrays[lower[name.partition(":")[0]]]),
+                UNITS_PER_SECOND[layout.time_unit] if ours == "t" else 1.0,
+            )
             for name, ours in known.items()
             if name.partition(":")[0] in lower
         }
@@ -73,20 +78,20 @@ def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Tabl
     return Table(path, tuple(columns), {k: v[numbers] for k, v in columns.items()}, numbers + 1, ())
 
 
-def _column(path: Path, name: str, array: np.ndarray) -> Scalars:
-    """One column of an array as float64."""
+def _column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    """One column of an array."""
     what, mark, number = name.partition(":")
     if array.dtype.kind not in "iuf" or array.ndim > 2 or array.size == 0:
         message = f"expected an array of numbers, found {array.dtype.name[:20]} of {_shape(array)}"
         raise DataFormatError(path, message, column=what)
     if not mark and array.size == max(array.shape, default=1):
-        return array.reshape(-1).astype(np.float64)
+        return array.reshape(-1)
     rows = array if array.ndim == 2 else array.reshape(1, -1)
     rows = rows if rows.shape[0] <= rows.shape[1] else rows.T
     if not number.isdecimal() or not 1 <= int(number) <= len(rows):
         example = f"{what}:1" + (f" to {what}:{len(rows)}" if len(rows) > 1 else "")
         raise DataFormatError(path, f"expected one column of {_shape(array)}, {example}; found '{name}'", column=what)
-    column: Scalars = rows[int(number) - 1].astype(np.float64)
+    column: np.ndarray = rows[int(number) - 1]
     return column
 
 

@@ -5,19 +5,28 @@ import logging
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.tables.text import Block, text_blocks
 from magmatch.data.tables.text_rows import (
+    RECOVER,
+    ForeignNumberError,
     cells_of,
+    decimal_of_cells,
     delimiter_of,
+    in_units,
+    is_row,
     listed,
     names_of,
     numbers_at_once,
     numbers_of,
+    split_header,
     split_row,
+    stated_delimiter,
 )
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
@@ -26,8 +35,6 @@ logger = logging.getLogger(__name__)
 
 # Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
 CHUNK_ROWS = 20_000
-# Between these a comma can only belong to a number.
-MAY_HAVE_COMMAS = {";", "\t"}
 # Comment lines above the first row that are kept.
 MAX_COMMENTS = 1000
 
@@ -43,6 +50,7 @@ class Table:
     comments: tuple[str, ...]  # comment lines above the first row, without the ``#``
     # Columns of words that were asked for and are there, each the same in all rows
     texts: Mapping[str, str] = field(default_factory=dict)
+    decimal: Decimal = "point"  # the mark of the numbers in the file
 
     def __len__(self) -> int:
         return len(self.line_numbers)
@@ -90,11 +98,16 @@ def read_table(
     recover: bool | None = None,
     advise: Callable[[Sequence[str]], str] = lambda _: "",
     texts: Collection[str] = (),
+    decimal: Decimal | Literal[""] | None = None,
+    digits: Mapping[str, int] | None = None,
 ) -> Table:
     """Read the known columns of a delimited text file; every number is finite, and there is at least one row.
 
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
-    semicolon, tab, or else white space. Between semicolons or tabs numbers may have decimal commas.
+    semicolon, tab, or else white space; or the one that a first line ``sep=;`` states. Numbers may have decimal
+    commas and groups of three digits; `decimal` says which mark is decimal where the numbers leave that in doubt ("":
+    not stated; None where there is no such choice, which messages then do not offer). Columns in `digits` count units
+    of 10**-digits, such as {"t": 9} of nanoseconds, and are returned in whole units, rounded once.
 
     Columns that are not known (lower case) are ignored, whatever they hold; `texts` are those that hold one word for
     the whole file. `names` are the columns of formats without a header row, `raw` the content of what is no file of
@@ -102,7 +115,7 @@ def read_table(
     refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
     file that has none of the columns, from the names it has.
     """
-    reader = _TableReader(path, known, names, recover, advise, texts)
+    reader = _TableReader(path, known, names, raw, recover, advise, texts, decimal, digits or {})
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
@@ -115,15 +128,17 @@ class _TableReader:
     path: str | Path
     known: Collection[str]
     names: Sequence[str] | None
+    raw: bytes | None
     recover: bool | None
     advise: Callable[[Sequence[str]], str]
     texts: Collection[str]
+    stated: Decimal | Literal[""] | None
+    digits: Mapping[str, int]
     said: dict[str, str] = field(default_factory=dict)
     first_fault: DataFormatError | None = None
     n_faults: int = 0
-    # What marks decimals, as far as it has been seen; commas only where something else separates the cells.
-    has_points: bool = False
-    has_commas: bool = False
+    decimal: Decimal = "point"
+    has_commas: bool = False  # within numbers
     comments: list[str] = field(default_factory=list)
     has_begun: bool = False
     delimiter: str | None = None
@@ -134,17 +149,18 @@ class _TableReader:
     def take(self, block: Block) -> None:
         """Read the rows of a block; its first row may be the header."""
         lines = block.lines
-        # A row of delimiters alone is what spreadsheets write for a blank line.
-        rows = [
-            i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")
-        ]
+        rows = [i for i, line in enumerate(lines) if is_row(line)]
         if not self.has_begun:
             above = lines[: rows[0]] if rows else lines
             self.comments += [line.strip().lstrip("#").strip() for line in above if line.strip()][:MAX_COMMENTS]
+            if rows and self.delimiter is None and (mark := stated_delimiter(lines[rows[0]])):
+                self.delimiter = mark
+                rows.pop(0)
         if rows and not self.has_begun:
             self._begin(lines, rows, block.start)
         if rows and not self.wanted:
             self._choose()
+            self._decide(block, rows)
         for start in range(0, len(rows), CHUNK_ROWS):
             chunk = rows[start : start + CHUNK_ROWS]
             is_last = block.is_last and chunk[-1] == len(lines) - 1
@@ -154,9 +170,10 @@ class _TableReader:
         """Learn delimiter and names from the first row."""
         self.has_begun = True
         first = lines[rows[0]]
-        self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
+        if self.delimiter is None or self.delimiter not in first:
+            self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line = split_row(first, self.delimiter), start + rows.pop(0) + 1
+            cells, line = split_header(first, self.delimiter), start + rows.pop(0) + 1
             self.names = names_of(self.path, cells, line, self.known, self.comments)
 
     def _choose(self) -> None:
@@ -168,6 +185,25 @@ class _TableReader:
             advice = self.advise(names)
             raise DataFormatError(self.path, f"{message}. {advice}" if advice else message)
         self.columns = [[] for _ in self.wanted]
+
+    def _decide(self, block: Block, rows: list[int]) -> None:
+        """Learn the decimal mark from all numbers, where the first ones leave it in doubt."""
+        self.decimal = decimal_of_cells(self.path, self._cells_ahead(block, rows), tuple(self.wanted), self.stated)
+
+    def _cells_ahead(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
+        """Lines and wanted cells of all rows from here on that may hold marks."""
+        yield from self._marked_cells(block, rows)
+        if not block.is_last:
+            for later in text_blocks(self.path, self.raw):
+                if later.start > block.start:
+                    yield from self._marked_cells(later, [i for i, line in enumerate(later.lines) if is_row(line)])
+
+    def _marked_cells(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
+        lines = block.lines
+        if any("." in lines[i] or ("," in lines[i] and (self.delimiter != "," or '"' in lines[i])) for i in rows):
+            for i in rows:
+                cells = split_row(lines[i], self.delimiter)
+                yield block.start + i + 1, [cells[k] for k in self.wanted.values() if k < len(cells)]
 
     def _take_texts(self, rows: list[str], numbers: list[int]) -> None:
         """Learn the words that all rows share."""
@@ -183,12 +219,18 @@ class _TableReader:
     def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
         self._take_texts(rows, numbers)
         block = None
-        if not self.has_commas:
+        if self.decimal == "point":
             block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
-        if block is not None and self.delimiter in MAY_HAVE_COMMAS and not self.has_points:
-            self.has_points = any("." in row for row in rows)
         if block is None:
             block, numbers = self._looked_at(rows, numbers, is_last=is_last)
+        else:
+            in_units(
+                block,
+                lambda k: (row.split(self.delimiter, k + 1)[k] for row in rows),
+                self.wanted,
+                self.decimal,
+                self.digits,
+            )
         for parts, values in zip(self.columns, block.T, strict=True):
             parts.append(values.copy())
         self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)
@@ -197,15 +239,17 @@ class _TableReader:
         """Numbers of rows cell by cell, and which of the rows were kept."""
         try:
             cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
-            if self.delimiter in MAY_HAVE_COMMAS:
-                self._put_points(cells, numbers)
-            return numbers_of(self.path, numbers, cells, self.wanted), numbers
+            self.has_commas |= any("," in row[k] for row in cells for k in self.wanted.values())
+            return numbers_of(self.path, numbers, cells, self.wanted, self.decimal, self.digits), numbers
         except DataFormatError as error:
             if self.recover is None:
                 raise
             if not self.recover:
-                message = f"{error.message}; --recover leaves such rows out"
-                raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
+                if isinstance(error, ForeignNumberError):
+                    raise
+                raise DataFormatError(
+                    self.path, error.message + RECOVER, line=error.line, column=error.column
+                ) from None
             if len(rows) == 1:
                 self.first_fault, self.n_faults = self.first_fault or error, self.n_faults + 1
                 return np.zeros((0, len(self.wanted))), []
@@ -215,22 +259,6 @@ class _TableReader:
             self._looked_at(rows[part], numbers[part], is_last=False) for part in (slice(middle), slice(middle, None))
         )
         return np.concatenate([first[0], second[0]]), first[1] + second[1]
-
-    def _put_points(self, cells: list[list[str]], numbers: list[int]) -> None:
-        """Write decimal commas as points, unless points stand there too: one of the two marks thousands then."""
-        pairs = [(i, name, row[k]) for i, row in zip(numbers, cells, strict=True) for name, k in self.wanted.items()]
-        with_point = next(((i, name, text) for i, name, text in pairs if "." in text), None)
-        if with_point is not None and self.has_commas:
-            i, name, text = with_point
-            message = f"found {text[:40]!r}, where numbers above have decimal commas"
-            raise DataFormatError(self.path, message, line=i + 1, column=name)
-        self.has_points |= with_point is not None
-        if self.has_points or not any("," in text for _, _, text in pairs):
-            return
-        self.has_commas = True
-        for row in cells:
-            for k in self.wanted.values():
-                row[k] = row[k].replace(",", ".")
 
     def table(self) -> Table:
         """All that was read."""
@@ -245,12 +273,17 @@ class _TableReader:
                 "%s: left out %d rows that cannot be read, the first: %s", self.path, self.n_faults, self.first_fault
             )
         if self.has_commas:
-            logger.warning("%s: decimal commas were read as points", self.path)
+            read_as = "decimal commas were read as points"
+            if self.decimal == "point":
+                read_as = "commas were read as marks of thousands, not of decimals"
+            logger.warning("%s: %s", self.path, read_as)
         columns = {}
         for name in self.wanted:  # one after the other, so that little is there twice
             columns[name] = np.concatenate(self.columns.pop(0))
         numbers = np.concatenate(self.line_numbers)
-        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said)
+        return Table(
+            Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said, self.decimal
+        )
 
 
 def write_table(path: str | Path, columns: Mapping[str, Scalars], texts: Mapping[str, str] | None = None) -> None:
