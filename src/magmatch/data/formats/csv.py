@@ -22,7 +22,7 @@ from magmatch.data.survey_columns import (
     wanted_columns,
     warn_of_unused_times,
 )
-from magmatch.data.tables.quaternions import QUATERNION
+from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT

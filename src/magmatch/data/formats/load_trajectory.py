@@ -19,7 +19,7 @@ TRAJECTORY_KINDS: tuple[FileKind, ...] = ("tum", "csv", "euroc")
 
 
 def load_trajectory(path: str | Path, layout: SurveyFormat, time_unit: TimeUnit | None = None) -> Trajectory:
-    """Read a trajectory file, in metres and seconds; times are in the layout's unit unless the file says otherwise."""
+    """Read a trajectory file, in metres and seconds; times are in the layout's unit unless the file says its own."""
     kind = sniff(path)
     if kind not in TRAJECTORY_KINDS:
         message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw), EuRoC or a table of these"
