@@ -69,5 +69,14 @@ def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor 
         log = raw
     stream = log.require(sensor or "field", "a survey")
     field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
-    hint = " ('magmatch odometry' makes one from accelerometer and gyroscope)"
-    return with_poses(path, stream.times, field, layout, hint)
+    return with_poses(path, stream.times, field, layout, "" if layout.trajectory else _odometry_hint(path))
+
+
+def _odometry_hint(path: str | Path) -> str:
+    """Where poses may come from, if the log holds what they are made of."""
+    try:
+        found = read_phone_log(path, recover=True).streams.keys()
+    except DataFormatError:
+        return ""
+    can = "rate" in found and ("acceleration" in found or {"linear_acceleration", "gravity"} <= found)
+    return " ('magmatch odometry' makes one from accelerometer and gyroscope)" if can else ""
