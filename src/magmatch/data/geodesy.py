@@ -29,9 +29,23 @@ class Origin:
             raise ConfigurationError(msg)
 
     def __str__(self) -> str:
-        # Nine decimals of a degree are a tenth of a millimetre.
-        place = f"{self.latitude_deg:.9f},{self.longitude_deg:.9f}"
-        return f"{place},{self.altitude:.4f}" if self.altitude else place
+        return ",".join(
+            map(repr, [self.latitude_deg, self.longitude_deg, *([self.altitude] if self.altitude else [])])
+        )
+
+    @classmethod
+    def of(cls, text: str) -> "Origin":
+        """The origin that a text such as ``48.1372,11.5756,519`` states."""
+        try:
+            return cls(*map(float, text.split(",")))
+        except (TypeError, ValueError):
+            msg = f"origin: expected LATITUDE,LONGITUDE or LATITUDE,LONGITUDE,ALTITUDE; found '{text[:60]}'"
+            raise ConfigurationError(msg) from None
+
+    @classmethod
+    def near(cls, latitude_deg: float, longitude_deg: float, altitude: float) -> "Origin":
+        """An origin within a metre that is short enough to be typed."""
+        return cls(round(float(latitude_deg), 5), round(float(longitude_deg), 5), float(round(altitude)))
 
 
 def what_is_wrong(latitudes_deg: Scalars, longitudes_deg: Scalars) -> str:

@@ -12,13 +12,13 @@ import numpy as np
 from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import SCHEMA, wanted_columns
+from magmatch.data.survey_columns import SCHEMA, choose_columns
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
-from magmatch.data.tables.text_rows import require_stated
-from magmatch.errors import DataFormatError, import_extra
+from magmatch.data.units import UNITS_PER_SECOND
+from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
 # Bounds, stated in docs/formats.md: a column of equal values takes no room in the file, but does in memory.
@@ -31,41 +31,41 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     """Read the columns of a survey from a Parquet file."""
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
-        stated = layout.column_names()
-        require_stated(path, names, stated)
-        known = wanted_columns(stated)
-        wanted = {name: known[name.lower()] for name in names if name.lower() in known}
-        if len(set(wanted.values())) < len(wanted):
-            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
-        for name in wanted:
-            _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
+        chosen = choose_columns(path, names, layout.stated_columns(), has_poses=layout.trajectory is None)
+        wanted = {name: chosen.ours[name.lower()] for name in names if name.lower() in chosen.ours}
+        dates = {
+            name for name in wanted if _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
+        }
         found = _columns(Path(path), file, list(wanted), pa)
         about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
     n_rows = len(next(iter(found.values()), ()))
-    columns = {wanted[name]: values for name, values in found.items()}
-    return Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+    columns = {name.lower(): values for name, values in found.items()}
+    has_dates = "t" in {wanted[name] for name in dates}
+    rows = np.arange(1, n_rows + 1)
+    return chosen.of(Table(Path(path), tuple(names), columns, rows, comments, has_dates=has_dates))
 
 
 def read_other_columns(
     path: str | Path, layout: SurveyFormat, most: int
 ) -> tuple[Scalars | None, dict[str, Scalars]]:
-    """Times (in the file's unit, stamps in s) and the finite number columns that are none of a survey's."""
-    known = wanted_columns(layout.column_names())
+    """Times in s, and the finite number columns that are none of a survey's."""
     columns: dict[str, Scalars] = {}
     with _opened(path) as (file, pa):
         schema, times = file.schema_arrow, None
+        names, has_poses = [str(name) for name in schema.names], layout.trajectory is None
+        known = choose_columns(path, names, layout.stated_columns(), has_poses=has_poses).ours
         for name in schema.names:
             ours = known.get(name.lower())
             if (ours is None and len(columns) == most) or ours not in (None, "t") or schema.names.count(name) > 1:
                 continue
             try:
-                _require_numbers(Path(path), name, schema.field(name).type, pa)
+                is_date = _require_numbers(Path(path), name, schema.field(name).type, pa)
                 values = _columns(Path(path), file, [name], pa)[name]
             except DataFormatError:
                 continue
             if ours == "t":
-                times = values
+                times = values / (1.0 if is_date else UNITS_PER_SECOND[layout.time_unit])
             else:
                 columns[name] = values
     return times, columns
@@ -81,7 +81,7 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
         with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False, **limits) as file:
             yield file, pa
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-        if isinstance(error, DataFormatError):
+        if isinstance(error, MagmatchError):
             raise
         words = " ".join(str(error).split())[:150]
         raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
@@ -106,10 +106,11 @@ def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scal
     return {name: np.concatenate(blocks[name]) for name in names}
 
 
-def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
-    is_number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
-    if not is_number:
+def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> bool:
+    """Refuse a column of anything but numbers and dates; whether it is one of dates."""
+    if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)):
         raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}", column=name)
+    return bool(pa.types.is_timestamp(kind))
 
 
 def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars:

@@ -1,26 +1,42 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from magmatch.arguments import column_of, expect_kind, found, require_finite
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.tables.table import Table
-from magmatch.data.tables.text_rows import require_stated
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
 
-def table_of_frame(
-    df: Any, name: str, known: Collection[str], theirs: Mapping[str, str], texts: Collection[str] = ()
-) -> Table:
-    """Known columns of a DataFrame, found by name (``theirs``: {ours: theirs}); rows by position, dates in s.
+class Chosen(Protocol):
+    """Which columns of a table are which."""
 
-    `texts` are columns of words, the same in all rows.
+    @property
+    def ours(self) -> Mapping[str, str]:
+        """Our names by the table's (lower case)."""
+
+    def of(self, table: Table) -> Table:
+        """Return the table with our names."""
+
+
+def table_of_frame(
+    df: Any,
+    name: str,
+    known: Collection[str],
+    theirs: Mapping[str, str],
+    choose: Callable[[Sequence[str], Mapping[str, str]], Chosen],
+    texts: Collection[str] = (),
+) -> Table:
+    """Columns of a DataFrame by our names (``theirs``: {ours: theirs}); rows by position, dates in s.
+
+    `choose` finds columns among the names there are, given what is stated; `texts` are columns of words, the same in
+    all rows.
     """
     expect_kind(name, "name", (str,))
     _expect_names(theirs)
@@ -30,21 +46,24 @@ def table_of_frame(
     if unknown := [ours for ours in theirs if ours not in known]:
         msg = f"columns: expected pairs {{ours: theirs}} with ours of {', '.join(known)}, got '{unknown[0]}'"
         raise ConfigurationError(msg)
-    wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
+    stated = {ours: str(text).lower() for ours, text in theirs.items()}
     # Of pandas: an index that is named as a column is one, such as the times.
-    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns)
-    if any(str(level).lower() in wanted.values() for level in levels):
+    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns) - {None}
+    names = list(dict.fromkeys(str(column) for column in (*df.columns, *levels)))
+    chosen = choose(names, stated)
+    if any(str(level).lower() in chosen.ours for level in levels):
         df = df.reset_index(allow_duplicates=True)
     there = {str(column).lower(): column for column in df.columns}
-    require_stated(name, tuple(map(str, df.columns)), {wanted[ours]: ours for ours in theirs})
-    columns = {ours: _numbers(df[there[key]], ours, name, len(df)) for ours, key in wanted.items() if key in there}
+    columns = {key: _numbers(df[there[key]], ours, name, len(df)) for key, ours in chosen.ours.items()}
     # A missing cell equals nothing, not even itself.
     said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
     for text, words in said.items():
         if len(words) > 1:
             raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
     one_word = {text: words[0] for text, words in said.items() if words}
-    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
+    dated = any(ours == "t" and _are_dates(df[there[key]]) for key, ours in chosen.ours.items())
+    rows = np.arange(1, len(df) + 1)
+    return chosen.of(Table(Path(name), tuple(map(str, df.columns)), columns, rows, (), one_word, has_dates=dated))
 
 
 def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[str, str]]:
@@ -77,10 +96,14 @@ def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
         if np.ndim(column) == 2:
             msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
             raise ValueError(msg)  # noqa: TRY301
-        if ours == "t" and getattr(column.dtype, "kind", "") == "M":
+        if ours == "t" and _are_dates(column):
             dates = np.asarray(column, dtype="datetime64[ns]")
             require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
             return seconds_of(dates.astype(np.int64).tolist())
         return column_of(column, ours, "any unit", n)
     except ValueError as error:
         raise DataFormatError(name, str(error)) from None
+
+
+def _are_dates(column: Any) -> bool:
+    return getattr(getattr(column, "dtype", None), "kind", "") == "M"

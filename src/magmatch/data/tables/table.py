@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.tables.dates import seconds_of_date
 from magmatch.data.tables.text import Block, text_blocks
 from magmatch.data.tables.text_rows import (
     cells_of,
     delimiter_of,
     listed,
     names_of,
+    numbered_names,
     numbers_at_once,
     numbers_of,
     split_row,
@@ -43,6 +45,7 @@ class Table:
     comments: tuple[str, ...]  # comment lines above the first row, without the ``#``
     # Columns of words that were asked for and are there, each the same in all rows
     texts: Mapping[str, str] = field(default_factory=dict)
+    has_dates: bool = False  # whether the times were dates, which are in s whatever the file's unit of time
 
     def __len__(self) -> int:
         return len(self.line_numbers)
@@ -62,6 +65,12 @@ class Table:
         """Return the table with columns under other names, given as {old: new}."""
         columns = {names.get(name, name): values for name, values in self.columns.items()}
         return replace(self, columns=columns)
+
+    def in_seconds(self, per_second: float) -> "Table":
+        """Return the table with times ``t`` in s, where they are numbers in another unit."""
+        if not self.has("t") or self.has_dates or per_second == 1:
+            return self
+        return replace(self, columns=self.columns | {"t": self.columns["t"] / per_second})
 
     def stack(self, *names: str) -> Matrix:
         """Columns side by side: (n, k)."""
@@ -89,6 +98,8 @@ def read_table(
     recover: bool | None = None,
     advise: Callable[[Sequence[str]], str] = lambda _: "",
     texts: Collection[str] = (),
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None,
+    numbered: Sequence[int] = (),
 ) -> Table:
     """Read the known columns of a delimited text file; every number is finite, and there is at least one row.
 
@@ -99,9 +110,11 @@ def read_table(
     the whole file. `names` are the columns of formats without a header row, `raw` the content of what is no file of
     its own (a member of an archive). `recover` leaves out rows that cannot be read, and says how many, instead of
     refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
-    file that has none of the columns, from the names it has.
+    file that has none of the columns, from the names it has. `choose` picks the columns, {theirs: ours}, from the
+    names there are, where names alone do not tell; `numbered` are columns known by number, counted from 1, for which
+    no header is needed. Dates (ISO 8601) of times become seconds since 1970.
     """
-    reader = _TableReader(path, known, names, recover, advise, texts)
+    reader = _TableReader(path, known, names, recover, advise, texts, choose, numbered)
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
@@ -117,6 +130,10 @@ class _TableReader:
     recover: bool | None
     advise: Callable[[Sequence[str]], str]
     texts: Collection[str]
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None
+    numbered: Sequence[int]
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    has_dates: bool = False
     said: dict[str, str] = field(default_factory=dict)
     first_fault: DataFormatError | None = None
     n_faults: int = 0
@@ -155,13 +172,19 @@ class _TableReader:
         first = lines[rows[0]]
         self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line = split_row(first, self.delimiter), start + rows.pop(0) + 1
-            self.names = names_of(self.path, cells, line, self.known, self.comments)
+            cells, line, is_header = split_row(first, self.delimiter), start + rows[0] + 1, True
+            if self.numbered:
+                self.names, is_header = numbered_names(cells, self.numbered)
+            else:
+                self.names = names_of(self.path, cells, line, self.known, self.comments, self.advise)
+            if is_header:
+                rows.pop(0)
+        self.chosen = {name: name for name in self.known} if self.choose is None else self.choose(self.names)
 
     def _choose(self) -> None:
         """Which columns to read, at the first row of numbers."""
         names = self.names or ()
-        self.wanted = {name: k for k, name in enumerate(names) if name in self.known}
+        self.wanted = {name: k for k, name in enumerate(names) if name in self.chosen}
         if not self.wanted:
             message = f"expected columns such as {listed(tuple(self.known))}; found {listed(names)}"
             advice = self.advise(names)
@@ -196,6 +219,7 @@ class _TableReader:
         """Numbers of rows cell by cell, and which of the rows were kept."""
         try:
             cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
+            self._put_seconds(cells)
             if self.delimiter in MAY_HAVE_COMMAS:
                 self._put_points(cells, numbers)
             return numbers_of(self.path, numbers, cells, self.wanted), numbers
@@ -214,6 +238,13 @@ class _TableReader:
             self._looked_at(rows[part], numbers[part], is_last=False) for part in (slice(middle), slice(middle, None))
         )
         return np.concatenate([first[0], second[0]]), first[1] + second[1]
+
+    def _put_seconds(self, cells: list[list[str]]) -> None:
+        """Write times that are dates as numbers."""
+        for k in [k for name, k in self.wanted.items() if self.chosen[name] == "t"]:
+            for row in cells:
+                if (seconds := seconds_of_date(row[k])) is not None:
+                    row[k], self.has_dates = repr(seconds), True
 
     def _put_points(self, cells: list[list[str]], numbers: list[int]) -> None:
         """Write decimal commas as points, unless points stand there too: one of the two marks thousands then."""
@@ -249,7 +280,8 @@ class _TableReader:
         for name in self.wanted:  # one after the other, so that little is there twice
             columns[name] = np.concatenate(self.columns.pop(0))
         numbers = np.concatenate(self.line_numbers)
-        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said)
+        names, comments = tuple(self.names or ()), tuple(self.comments)
+        return Table(Path(self.path), names, columns, numbers, comments, self.said, self.has_dates)
 
 
 def write_table(path: str | Path, columns: Mapping[str, Scalars], texts: Mapping[str, str] | None = None) -> None:

@@ -2,11 +2,12 @@
 """Cells of text rows: names in the first row, numbers in the others, faults by line and column."""
 
 import csv
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from magmatch.data.tables.dates import seconds_of_date
 from magmatch.errors import DataFormatError
 from magmatch.typing import Matrix
 
@@ -26,22 +27,45 @@ def split_row(text: str, delimiter: str | None) -> list[str]:
 
 
 def names_of(
-    path: str | Path, cells: list[str], line: int, known: Collection[str], comments: Sequence[str]
+    path: str | Path,
+    cells: list[str],
+    line: int,
+    known: Collection[str],
+    comments: Sequence[str],
+    advise: Callable[[Sequence[str]], str] = lambda _: "",
 ) -> tuple[str, ...]:
     """Names of the columns, lower case."""
     names = [cell.strip().strip("'\"").lower() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    if all(is_number(name) for name in names):
+    if all(map(is_sample, names)):
         message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
         above = comments[-1].replace(",", " ").replace(";", " ").split() if comments else []
         if len(above) == len(names) and not any(map(is_number, above)):
             message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
-        raise DataFormatError(path, message, line=line)
+        advice = advise(names)
+        raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=line)
     for name in names:
         if name in known and names.count(name) > 1:
             raise DataFormatError(path, f"the column appears {names.count(name)} times", line=line, column=name)
     return tuple(names)
+
+
+def numbered_names(cells: list[str], numbers: Sequence[int]) -> tuple[tuple[str, ...], bool]:
+    """Names of columns of which some are known by number, counted from 1; and whether the first row is a header.
+
+    It is one where a column so known has no number in it, or where its cells just count the columns.
+    """
+    names = [cell.strip().strip("'\"").lower() for cell in cells]
+    while names and not names[-1]:
+        names.pop()
+    counted = [str(k) for k in range(len(names) + 1)]
+    if len(names) > 1 and names in (counted[:-1], counted[1:]):
+        return tuple(names), True
+    known = [k for k in numbers if k <= len(names) and str(k) not in names]
+    is_header = not all(is_sample(names[k - 1]) for k in known)
+    named = (str(k) if k in known or not is_header else name for k, name in enumerate(names, start=1))
+    return tuple(named), is_header
 
 
 def numbers_at_once(rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int]) -> Matrix | None:
@@ -94,7 +118,8 @@ def _first_fault(
                 return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
             if not is_number(text):
                 hint = " (write decimals with a point)" if is_number(text.replace(",", ".")) else ""
-                hint = " (times are numbers, such as seconds since 1970)" if text.count(":") > 1 else hint
+                is_time = text.count(":") > 1
+                hint = " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)" if is_time else hint
                 return DataFormatError(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
             if not np.isfinite(float(text)):
                 message = f"expected a finite number, found {text[:40]!r}; remove the row or repair it"
@@ -115,6 +140,11 @@ def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, 
     for theirs, ours in stated.items():
         if theirs not in there:
             raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
+
+
+def is_sample(text: str) -> bool:
+    """Whether a cell reads as a number or a date, and so not as a name."""
+    return is_number(text) or seconds_of_date(text) is not None
 
 
 def is_number(text: str) -> bool:
