@@ -18,6 +18,7 @@ _KINDS = {
     **dict.fromkeys("STU", "text"),
 }
 _TO_NUMBERS = "turn it into numbers first (pandas: to_numeric, of times to_datetime)"
+_COMMAS = "turn it into numbers first (pandas: read_csv with decimal=',' or with thousands=',')"
 _ADVICE = {
     **dict.fromkeys("STU", _TO_NUMBERS),
     "c": "take the real part",
@@ -52,7 +53,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
         if hasattr(values, "positions"):
             advice = "give its .positions"
         elif text is not None and array.dtype == object:
-            kind, advice = f"text such as {found(text)}", _TO_NUMBERS
+            kind, advice = f"text such as {found(text)}", _COMMAS if "," in text else _TO_NUMBERS
         _refuse(name, expected, kind, advice)
     with np.errstate(over="ignore"):
         return np.asarray(array, dtype=np.float64)

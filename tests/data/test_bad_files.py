@@ -76,7 +76,7 @@ TABLE_CASES = {
     "long row": (with_row(7, "0,0,0,1e-6,0,0,9"), ["line 8", "expected 6 cells", "found 7"]),
     "commas and points": (
         table("0;0;0;0,2;0;0.5", header="x;y;z;bx;by;bz"),
-        ["line 2", "column 'bx'", "with a point"],
+        ["line 2", "column 'bz'", "with a point"],
     ),
     "cut off": (table(*rows()).rstrip("\n")[:-30], ["line 13", "found 4", "cut off"]),
     "two delimiters": (table(*rows(), header="x,y,z;bx,by,bz"), ["line 1", "both ',' and ';'"]),
@@ -231,8 +231,8 @@ def test_impossible_survey_is_refused(name, tmp_path):
 
 
 TUM_CASES = {
-    "seven columns": ("0 0 0 0 0 0 0\n" * 3, ["line 1", "expected 8 cells", "found 7"]),
-    "header without #": ("t x y z qx qy qz qw\n0 0 0 0 0 0 0 1\n", ["line 1", "column 't'", "expected a number"]),
+    "seven columns": ("0 0 0 0 0 0 0\n" * 3, ["line 1", "expected rows of t, x, y, z", "found 7 cells"]),
+    "header without qw": ("t x y z qx qy qz q\n0 0 0 0 0 0 0 1\n", ["line 1", "missing qw", "found t, x, y"]),
     "text": ("0 0 0 0 0 0 0 1\n1 0 0 north 0 0 0 1\n", ["line 2", "column 'z'", "'north'"]),
     "one pose": ("0 0 0 0 0 0 0 1\n", ["at least two poses", "found 1"]),
     "time repeats": ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", ["line 2", "time repeats"]),

@@ -274,3 +274,19 @@ def test_surveys_about_two_origins_make_no_map(tmp_path):
     assert len(surveys_of([here, here])) == 2
     with pytest.raises(SurveyError, match=r"one frame.*--origin 48.1,11.5,500.0"):
         surveys_of([here, there])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_channels_beside_dates_are_read_at_the_times_of_the_samples(suffix, tmp_path):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    dates = pd.to_datetime(1_700_000_000 + np.arange(N), unit="s")
+    own = {"t": dates} | dict(zip(["x", "y", "z", "bx", "by", "bz"], ROWS[:, 1:].T, strict=True))
+    frame, path = pd.DataFrame(own | {"motor": np.arange(N) * 1.5}), tmp_path / f"s.{suffix}"
+    if suffix == "csv":
+        frame.to_csv(path, index=False)
+    else:
+        frame.to_parquet(path)
+    survey, channels = read_survey_and_channels(path, SurveyFormat(field_unit="uT", time_unit="ms"))
+    np.testing.assert_array_equal(survey.times, 1_700_000_000 + np.arange(N))
+    np.testing.assert_array_equal(channels["motor"], np.arange(N) * 1.5)

@@ -14,6 +14,7 @@ import numpy as np
 from magmatch.arguments import found
 from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, what_is_wrong
 from magmatch.data.tables.frames import table_of_frame
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text_rows import require_stated
@@ -60,8 +61,11 @@ class ChosenColumns:
 
     def of(self, table: Table) -> Table:
         """Return the table with our names, and the constants as columns."""
-        named = table.renamed(self.ours)
-        return replace(named, columns=named.columns | {k: np.full(len(named), v) for k, v in self.constants.items()})
+        return self.with_constants(table.renamed(self.ours))
+
+    def with_constants(self, table: Table) -> Table:
+        """Return a table that has our names with the constants as columns."""
+        return replace(table, columns=table.columns | {k: np.full(len(table), v) for k, v in self.constants.items()})
 
 
 def choose_columns(
@@ -89,7 +93,9 @@ def choose_columns(
     chosen = theirs | _guessed([name for name in there if name not in theirs], stated, has_poses=has_poses)
     for name in chosen:
         if there.count(name) > 1:
-            raise DataFormatError(path, f"the column appears {there.count(name)} times", column=name)
+            raise DataFormatError(
+                path, f"the column appears {there.count(name)} times; rename the others", column=name
+            )
     return ChosenColumns(chosen, constants)
 
 
@@ -124,6 +130,14 @@ def position_columns(table: Table) -> tuple[str, str, str]:
     if not (table.has("lat") or table.has("lon")):
         return POSITION_COLUMNS
     return "lat", "lon", "z" if table.has("z") and not table.has("alt") else "alt"
+
+
+def warn_of_unused_times(table: Table) -> None:
+    """Say so where a table has no column of times, but one whose name says that it holds some."""
+    for name in () if table.has("t") else table.names:
+        if header_of([name]).names == ("t",):
+            words = "%s: has no column t, and '%s' is left out; if it holds the times: --columns t=%s"
+            logger.warning(words, table.path, name, name)
 
 
 def survey_arguments(
@@ -176,11 +190,18 @@ def _local_positions(table: Table, metre: float, stated: str | None) -> tuple[Po
 
 def survey_table(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
     """Table of a DataFrame's columns (``theirs``: {ours: theirs}), times in s."""
-    known = (*COLUMNS, *GLOBAL_COLUMNS)
+    per_second = size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
     table = table_of_frame(
-        df, name, known, theirs, lambda *given: choose_columns(name, *given), texts=(FRAME_COLUMN,)
+        df,
+        name,
+        (*COLUMNS, *GLOBAL_COLUMNS),
+        theirs,
+        lambda *given: choose_columns(name, *given),
+        per_second,
+        texts=(FRAME_COLUMN,),
     )
-    return table.in_seconds(size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit"))
+    warn_of_unused_times(table)
+    return table
 
 
 def stated_columns(

@@ -144,7 +144,7 @@ def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path):
 def test_without_h5py_the_extra_is_named(tmp_path, monkeypatch):
     path = v73(tmp_path / "walk.mat", PLAIN)
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
-    with pytest.raises(ImportError, match=r"magmatch\[matlab\]"):
+    with pytest.raises(ImportError, match=r"pip install '\.\[matlab\]'"):
         read_survey(path)
 
 

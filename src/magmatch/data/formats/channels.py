@@ -13,7 +13,6 @@ from magmatch.data.formats.sniff import sniff
 from magmatch.data.formats.table_columns import read_columns
 from magmatch.data.survey_columns import COLUMNS, column_numbers
 from magmatch.data.tables.table import read_table
-from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars
 
@@ -72,11 +71,10 @@ def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dic
         if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
             continue
         try:
-            other = read_table(path, (name,), recover=layout.recover, numbered=numbered)
+            other = read_table(path, (name,), recover=layout.recover, numbered=numbered, decimal=table.decimal)
         except DataFormatError:
             continue
         is_there = np.isin(other.line_numbers, table.line_numbers)
         if is_there.sum() == len(table):
             columns[name] = other.columns[name][is_there]
-    times = chosen.of(table).in_seconds(UNITS_PER_SECOND[layout.time_unit]).columns.get("t")
-    return times, columns
+    return chosen.of(table).columns.get("t"), columns

@@ -13,11 +13,17 @@ from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.table_columns import advice_for, read_columns
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import FIELD_COLUMNS, GLOBAL_COLUMNS, POSITION_COLUMNS, position_columns
+from magmatch.data.survey_columns import (
+    FIELD_COLUMNS,
+    GLOBAL_COLUMNS,
+    POSITION_COLUMNS,
+    position_columns,
+    warn_of_unused_times,
+)
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, read_table
-from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
-from magmatch.errors import ConfigurationError
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Points
 
 logger = logging.getLogger(__name__)
@@ -26,14 +32,35 @@ logger = logging.getLogger(__name__)
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
     table, chosen = read_columns(path, layout)
-    return survey_of_table(chosen.of(table), layout)
+    table = chosen.of(table)
+    if layout.rate is None:
+        _warn_of_unnamed(table, layout)
+    return survey_of_table(table, layout)
+
+
+def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
+    """Say that a column without a name is left out, unless it counts the rows: pandas so writes an index of times."""
+    if "" not in table.names or table.has("t"):
+        return
+    path = table.path
+    try:
+        values = read_table(path, ("",), recover=layout.recover, decimal=table.decimal).columns[""]
+        is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
+    except DataFormatError:
+        is_count = False
+    if not is_count:
+        logger.warning("%s: a column without a name is left out; if it holds times, name it t in the header", path)
 
 
 def survey_of_table(
     table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
 ) -> Survey:
-    """Turn a table of samples, from whatever format, into a survey; `advise` says how to name what is missing."""
-    table = _at_rate(table.in_seconds(UNITS_PER_SECOND[layout.time_unit]), layout)
+    """Turn a table of samples, from whatever format, into a survey; its times are in s.
+
+    `advise` says how to name what is missing.
+    """
+    table = _at_rate(table, layout)
+    warn_of_unused_times(table)
     if layout.trajectory is not None:
         survey = recording_of_table(table, layout, advise).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)

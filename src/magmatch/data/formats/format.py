@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
 from magmatch.settings import Settings
@@ -24,6 +25,9 @@ class SurveyFormat(Settings):
         "for bags, MCAP and phone logs: sensor, unless they name the survey's frame.",
     )
     time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
+    decimal: Decimal | None = Field(
+        default=None, description="Decimal mark of a table's numbers, where they leave it in doubt (17,971)."
+    )
     columns: str | None = Field(
         default=None,
         description="A table's columns: by name (x=pos_x,bx=mag_x,...), by number, counted from 1 (t=1,bx=2,...), or "

@@ -9,14 +9,20 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
+from magmatch.data.tables.tum import read_tum
 from magmatch.data.trajectory import Trajectory
-from magmatch.data.units import METRE_PER_UNIT
+from magmatch.data.units import METRE_PER_UNIT, LengthUnit
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars, Vectors
 
-TRAJECTORY_READERS: Mapping[FileKind, Callable[[str | Path], Trajectory]] = {
-    "tum": Trajectory.load,
-    "csv": Trajectory.load,  # whose error says what a TUM file looks like
+
+def _read_tum(path: str | Path, length_unit: LengthUnit) -> Trajectory:
+    return Trajectory.from_table(read_tum(path, length_unit))
+
+
+TRAJECTORY_READERS: Mapping[FileKind, Callable[[str | Path, LengthUnit], Trajectory]] = {
+    "tum": _read_tum,
+    "csv": _read_tum,
     "euroc": read_euroc_trajectory,
 }
 
@@ -25,9 +31,9 @@ def load_trajectory(path: str | Path, layout: SurveyFormat) -> Trajectory:
     """Read a trajectory file, in metres."""
     kind = sniff(path)
     if kind not in TRAJECTORY_READERS:
-        message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw) or EuRoC"
+        message = f"is a {kind} file, expected a trajectory: TUM (t x y z qx qy qz qw), EuRoC or a table of these"
         raise DataFormatError(path, message)
-    return TRAJECTORY_READERS[kind](path).scaled(METRE_PER_UNIT[layout.length_unit])
+    return TRAJECTORY_READERS[kind](path, layout.length_unit).scaled(METRE_PER_UNIT[layout.length_unit])
 
 
 def with_poses(path: str | Path, times: Scalars, field: Vectors, layout: SurveyFormat, hint: str = "") -> Recording:

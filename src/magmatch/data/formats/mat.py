@@ -20,8 +20,10 @@ from magmatch.data.survey_columns import (
     position_columns,
 )
 from magmatch.data.tables.gzipped import most_unpacked, plain_file
+from magmatch.data.tables.nanoseconds import seconds_of_column
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
+from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
@@ -59,7 +61,11 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
             found = ", ".join(_listing(place, is_v5=is_v5))
             raise DataFormatError(place, f"expected arrays {expected}; found {found}. {advice_for_arrays()}")
         chosen = choose_columns(place, names, stated, has_poses=layout.trajectory is None)
-        columns = {name: _column(place, name, arrays[name.partition(":")[0]]) for name in chosen.ours}
+        ticks = {name: UNITS_PER_SECOND[layout.time_unit] for name, ours in chosen.ours.items() if ours == "t"}
+        columns = {
+            name: seconds_of_column(_column(place, name, arrays[name.partition(":")[0]]), ticks.get(name, 1.0))
+            for name in chosen.ours
+        }
         table = chosen.of(_table(place, columns, recover=layout.recover))
         # Only for the message about what is missing: it costs another look at the file.
         is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
@@ -90,20 +96,20 @@ def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Tabl
     return Table(path, tuple(columns), {k: v[numbers] for k, v in columns.items()}, numbers + 1, ())
 
 
-def _column(path: Path, name: str, array: np.ndarray) -> Scalars:
-    """One column of an array as float64."""
+def _column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    """One column of an array."""
     what, mark, number = name.partition(":")
     if array.dtype.kind not in "iuf" or array.ndim > 2 or array.size == 0:
         message = f"expected an array of numbers, found {array.dtype.name[:20]} of {_shape(array)}"
         raise DataFormatError(path, message, column=what)
     if not mark and array.size == max(array.shape, default=1):
-        return array.reshape(-1).astype(np.float64)
+        return array.reshape(-1)
     rows = array if array.ndim == 2 else array.reshape(1, -1)
     rows = rows if rows.shape[0] <= rows.shape[1] else rows.T
     if not number.isdecimal() or not 1 <= int(number) <= len(rows):
         example = f"{what}:1" + (f" to {what}:{len(rows)}" if len(rows) > 1 else "")
         raise DataFormatError(path, f"expected one column of {_shape(array)}, {example}; found '{name}'", column=what)
-    column: Scalars = rows[int(number) - 1].astype(np.float64)
+    column: np.ndarray = rows[int(number) - 1]
     return column
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Columns of a survey in a text table, and what to do about a table that lacks them."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey_columns import COLUMNS, FRAME_COLUMN, ChosenColumns, choose_columns, column_numbers
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text_rows import is_sample
+from magmatch.data.units import DIGITS_OF_SECOND
 
 
 def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenColumns]:
@@ -25,6 +27,8 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
         texts=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
+        decimal=layout.decimal or "",
+        digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
     )
     return table, choose(table.names)
 
@@ -34,6 +38,8 @@ def advice_for(names: Sequence[str]) -> str:
     if names and all(map(is_sample, names)):
         pairs = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7" if len(names) > 6 else "t=1,bx=2,by=3,bz=4"
         return f"Without a header, say which column is which, counted from 1: --columns {pairs}"
+    if len(names) == 1 and (mark := re.search(r"[^\w\s.()\[\]\"'/^-]", names[0])):
+        return f"If '{mark[0]}' separates the columns, write sep={mark[0]} in a line above"
     if all(any(name.startswith(part) for name in names) for part in ("lat", "lon")):
         return "Where they have other names: --columns lat=THEIRS,lon=...,bx=..."
     return "Where they have other names: --columns x=THEIRS,y=...,bx=..."

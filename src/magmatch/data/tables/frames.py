@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
 
+import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -8,10 +9,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from magmatch.arguments import column_of, expect_kind, found, require_finite
-from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
+
+logger = logging.getLogger(__name__)
+
+# Whole numbers of an index below this may count rows, which no table in memory has more of; stamps are larger.
+NO_ROW_NUMBER = 1_000_000_000
 
 
 class Chosen(Protocol):
@@ -21,8 +27,8 @@ class Chosen(Protocol):
     def ours(self) -> Mapping[str, str]:
         """Our names by the table's (lower case)."""
 
-    def of(self, table: Table) -> Table:
-        """Return the table with our names."""
+    def with_constants(self, table: Table) -> Table:
+        """Return a table that has our names with what else is stated."""
 
 
 def table_of_frame(
@@ -31,9 +37,10 @@ def table_of_frame(
     known: Collection[str],
     theirs: Mapping[str, str],
     choose: Callable[[Sequence[str], Mapping[str, str]], Chosen],
+    per_second: float,
     texts: Collection[str] = (),
 ) -> Table:
-    """Columns of a DataFrame by our names (``theirs``: {ours: theirs}); rows by position, dates in s.
+    """Columns of a DataFrame by our names (``theirs``: {ours: theirs}); rows by position, times in s.
 
     `choose` finds columns among the names there are, given what is stated; `texts` are columns of words, the same in
     all rows.
@@ -54,16 +61,32 @@ def table_of_frame(
     if any(str(level).lower() in chosen.ours for level in levels):
         df = df.reset_index(allow_duplicates=True)
     there = {str(column).lower(): column for column in df.columns}
-    columns = {key: _numbers(df[there[key]], ours, name, len(df)) for key, ours in chosen.ours.items()}
+    columns = {ours: _numbers(df[there[key]], ours, name, len(df), per_second) for key, ours in chosen.ours.items()}
+    if "t" not in columns and (times := _times_of_index(df, name)) is not None:
+        columns["t"] = _numbers(times, "t", name, len(df), per_second)
     # A missing cell equals nothing, not even itself.
     said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
     for text, words in said.items():
         if len(words) > 1:
             raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
     one_word = {text: words[0] for text, words in said.items() if words}
-    dated = any(ours == "t" and _are_dates(df[there[key]]) for key, ours in chosen.ours.items())
-    rows = np.arange(1, len(df) + 1)
-    return chosen.of(Table(Path(name), tuple(map(str, df.columns)), columns, rows, (), one_word, has_dates=dated))
+    table = Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
+    return chosen.with_constants(table)
+
+
+def _times_of_index(df: Any, name: str) -> Any:
+    """Increasing dates in an index that is named otherwise or not at all; other times it may hold are warned of."""
+    index: Any = getattr(df, "index", None)
+    for k in range(getattr(index, "nlevels", 0)):
+        level = index.get_level_values(k)
+        kind = getattr(level.dtype, "kind", "")
+        if kind == "M" and level.is_monotonic_increasing and level.is_unique and not level.hasnans:
+            return level
+        if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= NO_ROW_NUMBER):
+            called = "without a name" if level.name is None else f"'{level.name}'"
+            words = "%s: has no column t, and its index %s is left out; if it holds the times, name it t"
+            logger.warning(words, name, called)
+    return None
 
 
 def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[str, str]]:
@@ -90,20 +113,21 @@ def _expect_names(theirs: Any) -> None:
     expect_kind(theirs, "columns", (Mapping,), "give a dict of ours to theirs, such as {'x': 'east'}")
 
 
-def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
-    """A column as finite float64; dates as seconds since 1970."""
+def _numbers(column: Any, ours: str, name: str, n: int, per_second: float) -> Scalars:
+    """A column as finite float64; times as seconds, dates since 1970."""
     try:
         if np.ndim(column) == 2:
             msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
             raise ValueError(msg)  # noqa: TRY301
-        if ours == "t" and _are_dates(column):
+        if ours == "t" and getattr(column.dtype, "kind", "") == "M":
             dates = np.asarray(column, dtype="datetime64[ns]")
             require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
             return seconds_of(dates.astype(np.int64).tolist())
-        return column_of(column, ours, "any unit", n)
+        values = column_of(column, ours, "any unit", n)
+        if ours != "t":
+            return values
+        # Nullable columns of pandas are objects to NumPy, unless it is told.
+        is_whole = getattr(getattr(column, "dtype", None), "kind", "") in ("i", "u")
+        return seconds_of_column(np.asarray(column, dtype=np.int64 if is_whole else None), per_second)
     except ValueError as error:
         raise DataFormatError(name, str(error)) from None
-
-
-def _are_dates(column: Any) -> bool:
-    return getattr(getattr(column, "dtype", None), "kind", "") == "M"

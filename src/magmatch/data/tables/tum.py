@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""TUM trajectories: rows ``t x y z qx qy qz qw`` without a header, separated by white space."""
+"""TUM trajectories: rows ``t x y z qx qy qz qw``, separated by white space; a header may name another order."""
 
 from pathlib import Path
 
@@ -7,17 +7,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
-from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.ordered_table import read_ordered
+from magmatch.data.tables.table import Table
+from magmatch.data.units import LengthUnit
 from magmatch.typing import Points, Scalars
 
 TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
-def read_tum(path: str | Path) -> Table:
-    """Read the rows of a TUM file."""
-    table = read_table(path, TUM_COLUMNS, TUM_COLUMNS)
-    table.require_increasing("t")
-    return table
+def read_tum(path: str | Path, length_unit: LengthUnit = "m") -> Table:
+    """Read the rows of a TUM file, or of any table that names these columns; times in s."""
+    return read_ordered(path, TUM_COLUMNS, length_unit=length_unit)[0]
 
 
 def write_poses(path: str | Path, times: Scalars, poses: RigidTransform | None) -> None:

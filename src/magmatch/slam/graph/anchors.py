@@ -10,7 +10,16 @@ import numpy as np
 from magmatch.arguments import column_of, number_of, numbers_of
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import text_blocks
-from magmatch.data.tables.text_rows import cells_of, delimiter_of, names_of, split_row
+from magmatch.data.tables.text_rows import (
+    advice_on_comments,
+    cells_of,
+    decimal_of_cells,
+    delimiter_of,
+    is_row,
+    names_of,
+    split_row,
+    stated_delimiter,
+)
 from magmatch.data.tables.text_rows import numbers_of as numbers_in
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.graph.factors import FixedPoints
@@ -70,18 +79,25 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
         It is none; says line and column.
     """
     rows = [(b.start + i, line) for b in text_blocks(path, None) for i, line in enumerate(b.lines)]
-    rows = [(i, line) for i, line in rows if line.strip() and line.strip()[0] != "#"]
+    comments = [line.strip().lstrip("#").strip() for _, line in rows if line.strip() and not is_row(line)]
+    rows = [(i, line) for i, line in rows if is_row(line)]
+    mark = stated_delimiter(rows[0][1]) if rows else None
+    rows = rows[1:] if mark else rows
     if len(rows) < 2:
         raise DataFormatError(path, f"expected a header row ({','.join(COLUMNS)}) and fixed points below, found none")
     (first, header), *rest = rows
-    mark = delimiter_of(path, header, first + 1)
-    names = names_of(path, split_row(header, mark), first + 1, COLUMNS, ())
+    mark = mark if mark and mark in header else delimiter_of(path, header, first + 1)
+    names = names_of(path, split_row(header, mark), first + 1, COLUMNS, comments)
     missing = [name for name in COLUMNS if name not in names]
     if missing:
-        raise DataFormatError(path, f"expected columns {', '.join(COLUMNS)}; missing {', '.join(missing)}")
+        message = f"expected columns {', '.join(COLUMNS)}; missing {', '.join(missing)}"
+        raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=first + 1)
     at = [i for i, _ in rest]
     cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
-    numbers = numbers_in(path, at, cells, {name: names.index(name) for name in NUMBERS})
+    wanted = {name: names.index(name) for name in NUMBERS}
+    picked = ((i + 1, [row[k] for k in wanted.values()]) for i, row in zip(at, cells, strict=True))
+    decimal = decimal_of_cells(path, picked, NUMBERS)
+    numbers = numbers_in(path, at, cells, wanted, decimal)
     for i, sd in zip(at, numbers[:, -1], strict=True):
         if sd <= 0:
             raise DataFormatError(

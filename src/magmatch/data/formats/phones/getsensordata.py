@@ -2,18 +2,22 @@
 """Text logs of GetSensorData (LOPSI, CAR-CSIC): rows ``MAGN;app s;sensor s;x;y;z;accuracy`` under ``%`` lines."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import TaggedRows
+from magmatch.data.tables.text_rows import decimal_of_cells
+from magmatch.errors import DataFormatError
 
 APP = "GetSensorData"
 _TAGS: Mapping[str, Sensor] = {"MAGN": "field", "ACCE": "acceleration", "GYRO": "rate"}
 _NAMES = ("app time", "sensor time", "x", "y", "z")
-_ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.]+;")
+# The lines above the rows may name the columns: ``% MAGN: 'MAGN;AppTimestamp(s);SensorTimestamp(s);Mag_X(uT);...'``.
+_NAMED = re.compile(r"\b(MAGN|ACCE|GYRO);([^'\"]*)")
+_ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.,]+;")
 # Sensors whose clocks differ by no more than this from the app's share one clock, s.
 ONE_CLOCK = 1.0
 
@@ -29,12 +33,13 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
     The app's times come in bursts; the sensors' own are even. So a row's time is its sensor's, moved by the median of
     what the app's clock is ahead: of all sensors together where they share a clock.
     """
-    rows = TaggedRows(path, _NAMES, recover=recover)
     # The header holds whatever the phone's language writes; the rows are plain ASCII.
-    for i, line in enumerate(raw.decode("latin-1").splitlines(), start=1):
-        tag, _, rest = line.partition(";")
-        if tag in _TAGS:
-            rows.take(tag, i, rest.split(";")[: len(_NAMES)])
+    lines = raw.decode("latin-1").splitlines()
+    _require_order(path, lines)
+    decimal = decimal_of_cells(path, ((i, cells) for i, _, cells in _tagged(lines)), _NAMES)
+    rows = TaggedRows(path, _NAMES, decimal, recover=recover)
+    for i, tag, cells in _tagged(lines):
+        rows.take(tag, i, cells)
     blocks = rows.blocks()
     ahead = {tag: float(np.median(block[:, 0] - block[:, 1])) for tag, (block, _) in blocks.items()}
     if ahead and max(ahead.values()) - min(ahead.values()) < ONE_CLOCK:
@@ -42,8 +47,29 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
             ahead, float(np.median(np.concatenate([b[:, 0] - b[:, 1] for b, _ in blocks.values()])))
         )
     streams = {}
-    for tag, (block, lines) in blocks.items():
+    for tag, (block, numbers) in blocks.items():
         if (sensor := _TAGS[tag]) in wanted:
             values = block[:, 2:] * PER_UNIT[sensor]
-            streams[sensor] = stream_of(path, f"{tag} rows", block[:, 1] + ahead[tag], values, lines)
+            streams[sensor] = stream_of(path, f"{tag} rows", block[:, 1] + ahead[tag], values, numbers)
     return streams
+
+
+def _tagged(lines: Sequence[str]) -> Iterator[tuple[int, str, list[str]]]:
+    """Line number, tag and cells of the rows that are read."""
+    for i, line in enumerate(lines, start=1):
+        tag, _, rest = line.partition(";")
+        if tag in _TAGS:
+            yield i, tag, rest.split(";")[: len(_NAMES)]
+
+
+def _require_order(path: Path, lines: Sequence[str]) -> None:
+    """Refuse a log whose header names the columns in another order."""
+    for i, line in enumerate(lines, start=1):
+        if line.partition(";")[0] in _TAGS:
+            return
+        if line.startswith("%") and (found := _NAMED.search(line)):
+            words = [word.strip() for word in found[2].split(";") if word.strip()][: len(_NAMES)]
+            axes = [re.sub(r"\(.*", "", word).lower()[-1:] for word in words[2:]]
+            if sorted(axes) == [*"xyz"] and (axes != [*"xyz"] or "sens" in words[0].lower()):
+                message = f"expected {', '.join(_NAMES)} behind {found[1]}, found the columns {', '.join(words)}"
+                raise DataFormatError(path, f"{message}; bring them into this order", line=i)
