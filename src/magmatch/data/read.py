@@ -33,7 +33,7 @@ _NOT_A_SURVEY: Mapping[FileKind, str] = {
     "map": "is a saved map, expected a survey; load it with FieldMap.load, its samples are in .survey",
     "registration": "is a registration result, expected a survey",
     "tum": "holds rows of 8 numbers without a header: a TUM trajectory has no field. Expected a survey CSV with a "
-    "header row; pass the trajectory beside it (--trajectory)",
+    "header row, or columns by number (--columns t=1,x=2,...); pass a trajectory beside it (--trajectory)",
 }
 
 
