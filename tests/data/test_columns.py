@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
+from magmatch.data.formats.csv import read_points
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import origin_of
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.field.given_surveys import surveys_of
 
@@ -266,6 +268,15 @@ def test_numbers_that_are_no_degrees_are_refused(tmp_path):
 def test_what_is_no_origin_is_refused(origin, tmp_path):
     with pytest.raises(ConfigurationError, match="origin: expected"):
         read(write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", GLOBE), origin=origin)
+
+
+def test_points_on_the_globe_are_read_about_the_origin_of_a_map(tmp_path):
+    frame = read(write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", GLOBE), origin="48.1,11.5,500").frame
+    path = write(tmp_path / "p.csv", "Latitude,Longitude,Altitude", GLOBE[:, :3])
+    points = read_points(path, SurveyFormat(origin=origin_of(frame)))
+    np.testing.assert_array_equal(points, local_east_north_up(LAT, LON, ALT, ORIGIN))
+    with pytest.raises(DataFormatError, match="expected columns such as x, y, z; found latitude"):
+        read_points(path, SurveyFormat(origin=origin_of("survey")))
 
 
 def test_surveys_about_two_origins_make_no_map(tmp_path):

@@ -163,12 +163,12 @@ def survey_arguments(
     if names == POSITION_COLUMNS:
         positions = table.stack(*names) * metre
     else:
-        positions, about["frame"] = _local_positions(table, metre, origin)
+        positions, about["frame"] = local_positions(table, metre, origin)
     samples = {"positions": positions, "field": field, "times": table.columns.get("t"), "orientations": orientations}
     return {**samples, "name": table.path.name, **about}
 
 
-def _local_positions(table: Table, metre: float, stated: str | None) -> tuple[Points, str]:
+def local_positions(table: Table, metre: float, stated: str | None) -> tuple[Points, str]:
     """Places on the globe in metres about an origin, and what the frame is called."""
     lat, lon, height = table.columns["lat"], table.columns["lon"], table.columns[position_columns(table)[2]] * metre
     if wrong := what_is_wrong(lat, lon):
@@ -186,6 +186,11 @@ def _local_positions(table: Table, metre: float, stated: str | None) -> tuple[Po
     else:
         positions = np.column_stack([local_east_north(lat, lon, origin), height])
     return positions, f"{GLOBAL_FRAME}{origin}"
+
+
+def origin_of(frame: str) -> str | None:
+    """The origin that the name of a frame states."""
+    return frame.removeprefix(GLOBAL_FRAME) if frame.startswith(GLOBAL_FRAME) else None
 
 
 def survey_table(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:

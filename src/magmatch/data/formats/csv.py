@@ -2,7 +2,7 @@
 """The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +17,8 @@ from magmatch.data.survey_columns import (
     FIELD_COLUMNS,
     GLOBAL_COLUMNS,
     POSITION_COLUMNS,
+    choose_columns,
+    local_positions,
     position_columns,
     warn_of_unused_times,
 )
@@ -86,10 +88,22 @@ def recording_of_table(
 
 
 def read_points(path: str | Path, layout: SurveyFormat) -> Points:
-    """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order."""
-    table = read_table(path, POSITION_COLUMNS)
-    table.require(POSITION_COLUMNS)
-    return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[layout.length_unit]
+    """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order; or of places on the globe.
+
+    Of these the layout must state the origin.
+    """
+
+    def choose(names: Sequence[str]) -> Mapping[str, str]:
+        own = (*POSITION_COLUMNS, *GLOBAL_COLUMNS) if layout.origin else POSITION_COLUMNS
+        return {theirs: ours for theirs, ours in choose_columns(path, names, {}).ours.items() if ours in own}
+
+    table = read_table(path, POSITION_COLUMNS, choose=choose)
+    table = table.renamed(choose(table.names))
+    names, metre = position_columns(table), METRE_PER_UNIT[layout.length_unit]
+    table.require(names)
+    return (
+        table.stack(*names) * metre if names == POSITION_COLUMNS else local_positions(table, metre, layout.origin)[0]
+    )
 
 
 def _at_rate(table: Table, layout: SurveyFormat) -> Table:
