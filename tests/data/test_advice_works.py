@@ -48,7 +48,10 @@ SURVEYS = {
     "two delimiters": (table("t,x,y,z,bx,by,bz;note, free", ";", above="").replace("bz;note;", "bz;note,").replace(
         "\n", ";a\n").replace(" free;a", " free"), "write sep=; above", lambda text: "sep=;\n" + text, {}),
     "decimal commas between commas": (
-        table(cell=commas), "separate the cells by semicolons", lambda _: table(mark=";", cell=commas), {}
+        table(cell=commas), "need quotes, or semicolons", lambda _: table(mark=";", cell=commas), {}
+    ),
+    "commas in numbers, quoted": (
+        table(cell=commas), "need quotes", lambda _: table(cell=lambda v: f'"{commas(v)}"'), {}
     ),
     "a unit behind numbers": (
         table(cell=lambda v: f"{v} u"), "write it without unit", swap(" u", ""), {}

@@ -230,8 +230,8 @@ class Survey:
         ----------
         df : DataFrame
             Columns ``x, y, z, bx, by, bz``, and ``t, qx, qy, qz, qw`` where known; others are ignored, and so is an
-            index that is not named as one of them. Times may be dates; ``lat, lon, alt`` (degrees, m) stand for
-            ``x, y, z``.
+            index, unless it is named as one of them, or there is no ``t`` and it holds increasing dates. Times may
+            be dates; ``lat, lon, alt`` (degrees, m) stand for ``x, y, z``.
         field_unit, length_unit, time_unit : str
             Units of the numbers: ``"uT"``, ``"mm"``, ``"ms"`` and so on.
         columns : dict of str to str, optional

@@ -93,7 +93,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | Path) -> "Trajectory":
-        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres.
+        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres, or as its header says.
 
         Raises
         ------

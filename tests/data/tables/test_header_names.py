@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.read import read_survey
-from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 
 N = 12
@@ -58,6 +57,7 @@ HEADERS = [
      "pose.orientation.z,pose.orientation.w", "vx vy vz t x y z qx qy qz qw", ","),
     ("timestamp [ns],p_x [m],p_y [m],p_z [m],q_x [],q_y [],q_z [],q_w []", "ns x y z qx qy qz qw", ","),
     ("sep=;\nt;x;y;z;qw;qx;qy;qz", "t x y z qw qx qy qz", ";"),
+    ("t [s] x [m] y [m] z [m] q_w [] q_x [] q_y [] q_z []", "t x y z qw qx qy qz", " "),
     ("# poses of the phone", "t x y z qx qy qz qw", " "),
     ("# these are eight words of no special meaning", "t x y z qx qy qz qw", " "),
     ("#timestamp [ns], a, b, c, d, e, f, g", "ns x y z qw qx qy qz", ","),
@@ -72,14 +72,22 @@ def test_poses_are_read_by_the_names_in_the_header(header, order, mark, tmp_path
 
 @pytest.mark.parametrize("decimal", [",", "."])
 def test_a_table_of_poses_may_have_decimal_commas(decimal, tmp_path):
-    path = write(tmp_path / "poses.csv", "t;x;y;z;qw;qx;qy;qz", "t x y z qw qx qy qz", ";")
-    path.write_text(path.read_text().replace(".", decimal))
-    expect_the_poses(Trajectory.load(path))
+    for header, mark in (
+        ("t;x;y;z;qw;qx;qy;qz", ";"),
+        ("# t x y z qw qx qy qz", " "),
+        ("# t x y z qw qx qy qz", ";"),
+    ):
+        path = write(tmp_path / "poses.csv", header, "t x y z qw qx qy qz", mark)
+        path.write_text(path.read_text().replace(".", decimal))
+        expect_the_poses(load_trajectory(path, SurveyFormat()))
 
 
 CONTRADICTIONS = [
     ("# t x y z qw a b c", "t x y z qw qx qy qz", " ", "'qw' stands where qx is expected"),
     ("# time x y z q0 q1 q2 q3", "t x y z qw qx qy qz", " ", "'q0' stands where qx is expected"),
+    ("# time x y z q[0] q[1] q[2] q[3]", "t x y z qw qx qy qz", " ", "'q[0]' stands where qx is expected"),
+    ("# time x y z qr qi qj qk", "t x y z qw qx qy qz", " ", "'qr' stands where qx is expected"),
+    ("# time x y z qw qx qy", "t x y z qw qx qy qz", " ", "'qw' stands where qx is expected"),
     ("# t z y x qx qy qz qw extra", "t z y x qx qy qz qw vx", " ", ""),
     ("# time x y z w x y z", "t x y z qw qx qy qz", " ", "'w' stands where qx is expected"),
     ("# time vx vy vz qx qy qz qw", "t vx vy vz qx qy qz qw", " ", "'vx' stands where x is expected"),

@@ -10,7 +10,7 @@ from magmatch.data.units import METRE_PER_UNIT, LengthUnit, TimeUnit
 # What words before an axis say that it is of: positions, orientations, the field, or another vector.
 _KINDS: Mapping[str, str] = {
     **dict.fromkeys(("p", "pos", "pose", "position", "t", "trans", "translation", "loc", "location", "coord"), ""),
-    **dict.fromkeys(("q", "quat", "quaternion", "rot", "rotation", "orientation", "attitude"), "q"),
+    **dict.fromkeys(("q", "quat", "quaternion", "o", "ori", "rot", "rotation", "orientation", "attitude"), "q"),
     **dict.fromkeys(("b", "m", "mag", "magn", "magnetic", "magnetometer", "magfield", "field"), "b"),
     **dict.fromkeys(("v", "vel", "velocity", "twist", "linear", "a", "acc", "accel", "acceleration"), "?"),
     **dict.fromkeys(("w", "omega", "angular", "g", "gyr", "gyro", "rate", "rotvec", "bias", "ba", "bg"), "?"),
@@ -57,9 +57,10 @@ class Header:
     def against(self, wanted: Sequence[str]) -> str:
         """The first word that does not fit where a column of this order should be; empty where all may."""
         for word, name, expected in zip(self.words, self.names, wanted, strict=False):
-            # An axis alone says nothing about the kind: x y z x y z w. A number says nothing about where w is.
-            fits = name in ("", expected) or _BRACKETS.sub("", word.lower()) == expected[-1]
-            if not fits or re.fullmatch(r"q(?:uat)?_?\d", word.lower()):
+            # An axis alone says nothing about the kind: x y z x y z w. Numbers say nothing about where w is: q0, q[1].
+            is_axis = _BRACKETS.sub("", word.lower()) == expected[-1]
+            is_part = not name and word.lower().startswith("q")
+            if is_part or not (name in ("", expected) or is_axis):
                 return f"'{word}' stands where {expected} is expected ({' '.join(wanted)})"
         return ""
 

@@ -22,6 +22,8 @@ def _pattern(mark: str, other: str) -> re.Pattern[str]:
 
 
 _PATTERNS: dict[Decimal, re.Pattern[str]] = {"point": _pattern(r"\.", ","), "comma": _pattern(",", r"\.")}
+# Rows that are looked at where only points stand: whoever marks thousands by them shows it within so many.
+MOST_POINTS = 10_000
 # A whole number that has no groups.
 _SHORT = re.compile(r"[+-]?[1-9]\d{0,2}", re.ASCII)
 
@@ -109,7 +111,9 @@ def decimal_of(rows: Iterable[tuple[int, Sequence[str]]], stated: Decimal | None
     """
     short: set[int] = set()
     seen: dict[str, _Seen] = {}
-    for line, cells in rows:
+    for n, (line, cells) in enumerate(rows):
+        if n >= MOST_POINTS and "," not in seen:
+            break
         for k, cell in enumerate(cells):
             text = plain_text(cell)
             fits = [decimal for decimal, pattern in _PATTERNS.items() if pattern.fullmatch(text)]

@@ -9,7 +9,7 @@ from magmatch.data.tables.header_names import Header, header_of, length_unit_of,
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text import text_blocks
-from magmatch.data.tables.text_rows import delimiter_of, is_row, listed, split_row, stated_delimiter
+from magmatch.data.tables.text_rows import delimiter_of, is_row, listed, split_header, stated_delimiter
 from magmatch.data.units import DIGITS_OF_SECOND, LengthUnit, TimeUnit
 from magmatch.errors import DataFormatError
 
@@ -73,7 +73,7 @@ def _top_of(path: str | Path) -> _Top | None:
             elif mark is None and (found := stated_delimiter(line)):
                 mark = found
             else:
-                cells = split_row(line, mark if mark and mark in line else delimiter_of(path, line, i))
+                cells = split_header(line, mark if mark and mark in line else delimiter_of(path, line, i))
                 while cells and not cells[-1].strip():
                     cells.pop()
                 return _Top(tuple(comments), tuple(cell.strip().strip("'\"") for cell in cells), i)
@@ -101,7 +101,7 @@ def _comment(path: str | Path, top: _Top, order: Sequence[str], lone: str) -> He
             if header.names_all(order):
                 return header
         header = _read_names(words, order, lone)
-        if len(words) == n and 2 * sum(map(bool, header.names[: len(order)])) >= len(order):
+        if len(order) - 1 <= len(words) <= n and 2 * sum(map(bool, header.names[: len(order)])) >= len(order):
             if disagreement := header.against(order):
                 advice = f"name all columns in the comment ({' '.join(order)}), or remove it if they stand so"
                 raise DataFormatError(path, f"in the comment '{comment[:60]}' {disagreement}; {advice}")

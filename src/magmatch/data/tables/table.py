@@ -26,6 +26,7 @@ from magmatch.data.tables.text_rows import (
     numbered_names,
     numbers_at_once,
     numbers_of,
+    split_header,
     split_row,
     stated_delimiter,
 )
@@ -180,7 +181,7 @@ class _TableReader:
         if self.delimiter is None or self.delimiter not in first:
             self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line, is_header = split_row(first, self.delimiter), start + rows[0] + 1, True
+            cells, line, is_header = split_header(first, self.delimiter), start + rows[0] + 1, True
             if self.numbered:
                 self.names, is_header = numbered_names(cells, self.numbered)
             else:
@@ -206,13 +207,18 @@ class _TableReader:
 
     def _cells_ahead(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
         """Lines and wanted cells of all rows from here on that may hold marks."""
-        later = () if block.is_last else (b for b in text_blocks(self.path, self.raw) if b.start > block.start)
-        for some, chosen in [(block, rows), *((b, None) for b in later)]:
-            lines = [(i, some.lines[i]) for i in (chosen or range(len(some.lines))) if is_row(some.lines[i])]
-            if any("." in text or ("," in text and (self.delimiter != "," or '"' in text)) for _, text in lines):
-                for i, text in lines:
-                    cells = split_row(text, self.delimiter)
-                    yield some.start + i + 1, [cells[k] for k in self.wanted.values() if k < len(cells)]
+        yield from self._marked_cells(block, rows)
+        if not block.is_last:
+            for later in text_blocks(self.path, self.raw):
+                if later.start > block.start:
+                    yield from self._marked_cells(later, [i for i, line in enumerate(later.lines) if is_row(line)])
+
+    def _marked_cells(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
+        lines = block.lines
+        if any("." in lines[i] or ("," in lines[i] and (self.delimiter != "," or '"' in lines[i])) for i in rows):
+            for i in rows:
+                cells = split_row(lines[i], self.delimiter)
+                yield block.start + i + 1, [cells[k] for k in self.wanted.values() if k < len(cells)]
 
     def _take_texts(self, rows: list[str], numbers: list[int]) -> None:
         """Learn the words that all rows share."""
@@ -232,9 +238,14 @@ class _TableReader:
             block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
         if block is None:
             block, numbers = self._looked_at(rows, numbers, is_last=is_last)
-        elif any(self.digits.get(name) for name in self.wanted):
-            cells = [row.split(self.delimiter) for row in rows]
-            block = in_units(block, cells, self.wanted, self.decimal, self.digits)
+        else:
+            in_units(
+                block,
+                lambda k: (row.split(self.delimiter, k + 1)[k] for row in rows),
+                self.wanted,
+                self.decimal,
+                self.digits,
+            )
         for parts, values in zip(self.columns, block.T, strict=True):
             parts.append(values.copy())
         self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)

@@ -40,6 +40,10 @@ def stated_delimiter(line: str) -> str | None:
 
 def delimiter_of(path: str | Path, first: str, line: int) -> str | None:
     """Choose what separates the cells from the first row; None for white space."""
+    for mark in (";", None):  # between numbers with decimal commas
+        cells = [cell.strip() for cell in first.split(mark)]
+        if "," in first and len(cells) > 1 and all(is_number(cell) and cell[-1] != "," for cell in cells):
+            return mark
     if "," in first and ";" in first:
         message = "both ',' and ';' separate the columns here; use one of them, or write sep=; above for the second"
         raise DataFormatError(path, message, line=line)
@@ -51,6 +55,12 @@ def split_row(text: str, delimiter: str | None) -> list[str]:
     if delimiter is not None and '"' in text:
         return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
     return text.split(delimiter)
+
+
+def split_header(first: str, delimiter: str | None) -> list[str]:
+    """Cells of the first row; units in brackets belong to the names before them."""
+    has_marks = delimiter is not None or any(mark in first for mark in ",;\t")
+    return split_row(first, delimiter) if has_marks else words_of(first)
 
 
 def names_of(
@@ -128,7 +138,7 @@ def cells_of(
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
             if delimiter == "," and len(row) > width and all(map(is_number, row)):
-                advice = "if numbers have decimal commas, write points, or separate the cells by semicolons"
+                advice = "numbers that hold commas need quotes, or semicolons between the cells"
                 raise ForeignNumberError(path, f"{message}; {advice}", line=i + 1)
             raise DataFormatError(path, message, line=i + 1)
     return cells
@@ -145,9 +155,7 @@ def numbers_of(
     """Wanted columns of some rows, one cell at a time; `digits` as in `read_table`."""
     places = list(wanted.values())
     try:
-        if decimal != "point":
-            raise ValueError  # noqa: TRY301
-        block = np.array([[float(row[k]) for k in places] for row in rows])
+        block = _floats(rows, places, decimal)
     except ValueError:
         try:
             block = np.array([[number_of_text(row[k], decimal) for k in places] for row in rows])
@@ -155,7 +163,17 @@ def numbers_of(
             raise _first_fault(path, chunk, rows, wanted, decimal) from None
     if not np.isfinite(block).all():
         raise _first_fault(path, chunk, rows, wanted, decimal)
-    return in_units(block, rows, wanted, decimal, digits or {})
+    in_units(block, lambda k: (row[k] for row in rows), wanted, decimal, digits or {})
+    return block
+
+
+def _floats(rows: list[list[str]], places: list[int], decimal: Decimal) -> Matrix:
+    """Plain numbers, quickly; `ValueError` where any needs a closer look."""
+    if decimal == "point":
+        return np.array([[float(row[k]) for k in places] for row in rows])
+    if any("." in row[k] for row in rows for k in places):
+        raise ValueError
+    return np.array([[float(row[k].replace(",", ".")) for k in places] for row in rows])
 
 
 def decimal_of_cells(
@@ -179,17 +197,23 @@ def decimal_of_cells(
 
 
 def in_units(
-    block: Matrix, rows: list[list[str]], wanted: Mapping[str, int], decimal: Decimal, digits: Mapping[str, int]
-) -> Matrix:
-    """Columns of a block in whole units, rounded once: what float64 cannot hold is taken from the cells again."""
+    block: Matrix,
+    cells: Callable[[int], Iterable[str]],
+    wanted: Mapping[str, int],
+    decimal: Decimal,
+    digits: Mapping[str, int],
+) -> None:
+    """Turn columns of a block into whole units, rounded once: what float64 cannot hold is taken from the cells again.
+
+    `cells` gives a column of the file by its number.
+    """
     for column, name in enumerate(wanted):
         if places := digits.get(name, 0):
-            values, k = block[:, column], wanted[name]
+            values = block[:, column]
             if (np.abs(values) < LARGEST_WHOLE).all() and (values == np.rint(values)).all():
                 block[:, column] = values / 10.0**places
             else:
-                block[:, column] = [seconds_of_text(row[k], places, decimal) for row in rows]
-    return block
+                block[:, column] = [seconds_of_text(text, places, decimal) for text in cells(wanted[name])]
 
 
 def _first_fault(
