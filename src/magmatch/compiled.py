@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
+from time import perf_counter
 from typing import Any
 
 from numba import njit, types
@@ -22,6 +23,8 @@ from numba.core import event, sigutils
 log = logging.getLogger(__name__)
 # Above information and below a warning: to be told at once.
 NOTICE = 25
+# s between words about compiling where nothing else shows that the program is alive, as in a log file.
+PATIENCE = 15.0
 ELSEWHERE = "; NUMBA_CACHE_DIR names another folder to keep them"
 
 
@@ -145,7 +148,7 @@ class NoCollection(event.Listener):
 
 
 class FirstUse(event.Listener):
-    """What happens at the first loop that is not in the cache: a word why it takes longer, and help.
+    """What happens at loops that are not in the cache: a word why it takes longer, progress, and at the first, help.
 
     Attributes
     ----------
@@ -155,23 +158,34 @@ class FirstUse(event.Listener):
 
     def __init__(self) -> None:
         self.next_module: str | None = None
-        self._is_over = False
+        self._n_loops = 0
+        self._began = self._said = 0.0
 
     def on_start(self, event: event.Event) -> None:
         """Hear of a compilation."""
-        if self._is_over or not _is_ours(event):
+        if not _is_ours(event):
             return
-        self._is_over = True
-        how_often = "once per kind of task after installation or upgrade, for several seconds"
+        self._n_loops += 1
+        if self._n_loops > 1:
+            self._tell_progress()
+            return
+        self._began = self._said = perf_counter()
+        how_often = "once per kind of task after installation or upgrade: a minute on two cores"
         if KEEPING.obstacle:
             how_often = f"in every run, since {KEEPING.obstacle}{ELSEWHERE}"
-        log.log(NOTICE, "Compiling numerical loops: %s", how_often)
+        log.log(NOTICE, "Compiling numerical loops, %s", how_often)
         if self.next_module is not None and not KEEPING.obstacle:
             words = f"from magmatch.compiled import compile_known; compile_known({self.next_module!r})"
             silent = subprocess.DEVNULL
             helper = subprocess.Popen([sys.executable, "-c", words], stdin=silent, stdout=silent, stderr=silent)
             # The cache is written file by file: what is not ready then is compiled when it is needed.
             atexit.register(_end, helper)
+
+    def _tell_progress(self) -> None:
+        now = perf_counter()
+        level = NOTICE if now - self._said > PATIENCE else logging.INFO
+        log.log(level, "Compiling: loop %d, %.0f s since the first", self._n_loops, now - self._began)
+        self._said = now if level == NOTICE else self._said
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to do."""

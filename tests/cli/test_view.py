@@ -47,7 +47,7 @@ def test_a_missing_extra_is_one_line_that_names_it(place, run, monkeypatch, tmp_
     monkeypatch.setitem(sys.modules, module, None)
     outcome = run("view", place / "base.csv", *words)
     assert outcome.code == 2
-    assert f"pip install 'magmatch[{extra}]'" in outcome.err
+    assert f"pip install '.[{extra}]'" in outcome.err
     assert len(outcome.err.splitlines()) == 1
     assert not list(tmp_path.iterdir())
 

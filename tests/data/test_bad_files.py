@@ -60,7 +60,7 @@ TABLE_CASES = {
     "other names commented out": ("#x0,x1,x2,y0,y1,y2\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
     "prose": ("Dear reader,\nthis is a letter.\n", ["expected columns", "bx", "found dear reader"]),
     "missing column": (table(*rows(), header="x,y,z,bx,by,up"), ["missing bz", "found x, y, z, bx, by, up"]),
-    "missing several": (table(*rows(), header="lat,lon,alt,bx,by,bz"), ["missing x, y, z", "found lat, lon, alt"]),
+    "missing several": (table(*rows(), header="e,n,u,bx,by,bz"), ["missing x, y, z", "found e, n, u"]),
     "unit in a name": (table(*rows(), header="x,y,z,bx [uT],by,bz"), ["missing bx", "bx [ut]"]),
     "log without positions": (table("0,1,2,3", header="t,bx,by,bz"), ["missing x, y, z", "--trajectory"]),
     "duplicate column": (table(*rows(), header="x,y,z,bx,bx,bz"), ["line 1", "column 'bx'", "2 times"]),

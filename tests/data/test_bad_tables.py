@@ -60,7 +60,7 @@ COLUMNS = {
     "lists": (lambda: good() | {"x": [[1.0]] * N}, "found list"),
     "structures": (lambda: good() | {"x": [{"a": 1.0}] * N}, "found struct"),
     "bytes": (lambda: good() | {"bx": [b"1"] * N}, "found binary"),
-    "a column twice": (lambda: good() | {"X": np.zeros(N)}, "holds a column twice"),
+    "a column twice": (lambda: good() | {"X": np.zeros(N)}, "the column appears 2 times"),
     "time that repeats": (repeated, "column 't': time repeats"),
     "half a quaternion": (lambda: good() | {"qx": np.zeros(N)}, "half a quaternion"),
     "zero quaternions": (lambda: good() | {f"q{k}": np.zeros(N) for k in "xyzw"}, "zero quaternion"),

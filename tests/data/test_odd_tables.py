@@ -78,8 +78,8 @@ def test_rows_that_cannot_be_read_are_left_out_when_asked_for(name, rows, tmp_pa
 
 
 def test_nothing_but_damage_is_refused_all_the_same(rows, tmp_path):
-    path = write(tmp_path / "s.csv", rows, change=lambda _, cells: ["2026-11-01T10:00:00Z", *cells[1:]])
-    with pytest.raises(DataFormatError, match=r"line 2, column 't'.*times are numbers, such as seconds since 1970"):
+    path = write(tmp_path / "s.csv", rows, change=lambda _, cells: ["2026-13-01T10:00:00Z", *cells[1:]])
+    with pytest.raises(DataFormatError, match=r"line 2, column 't'.*times are numbers, or dates such as"):
         read_survey(path, RECOVER)
 
 
@@ -93,12 +93,12 @@ def test_other_columns_stay_beside_the_rows_that_are_kept(rows, tmp_path):
 
 
 HEADERS = {
-    "time,latitude,longitude,altitude,mag_x,mag_y,mag_z": "project them first",
+    "time,latitude,longitude,altitude,mag_x,mag_y,mag_z": "--columns lat=THEIRS",
     "timestamp,px,py,pz,mx,my,mz": "--columns x=THEIRS",
-    "t,x,y,note,bx,by,bz": "has a column z too",
+    "t,x,y,note,bx,by,bz": "--columns z=0",
     "t,x,y,z,mag,a,b": "its magnitude alone will not do",
     "t,a,b,c,bx,by,bz": "--trajectory POSES.tum",
-    "t,lat,lon,c,bx,by,bz": "project them first",
+    "t,lat,lon,c,bx,by,bz": "--columns z=0",
 }
 
 

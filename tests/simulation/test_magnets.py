@@ -137,7 +137,7 @@ def test_without_sources_the_field_is_zero():
 
 def test_without_magpylib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "magpylib", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[simulation\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[simulation\]'"):
         field_of([Dipole(np.zeros(3), np.ones(3))], np.ones((1, 3)))
 
 

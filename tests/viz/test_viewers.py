@@ -219,5 +219,5 @@ def test_a_failed_recording_leaves_the_old_one(pair, tmp_path, monkeypatch):
 )
 def test_a_missing_viewer_is_named(monkeypatch, module, require, extra):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=rf"magmatch\[{extra}\]"):
+    with pytest.raises(MissingExtraError, match=rf"pip install '\.\[{extra}\]'"):
         require()

@@ -32,14 +32,13 @@ def info(
 
     Shows counts, extent, units, frames, gaps and quality warnings.
     """
-    from magmatch.data.formats.sniff import sniff
+    from magmatch.data.read import kind_of
 
-    kind = sniff(file)
+    kind = kind_of(file, layouts.of())
     if kind == "registration":
         result = read_result(file)
         put(as_json({"kind": "registration"} | result.to_dict()) if json else tell_result(result))
         return
-    kind = "csv" if kind == "phone" and layouts.of().columns else kind
     names = {"tum": "trajectory", "map": "map", "log": "log", "phone": "phone log"}
     facts = {"kind": names.get(kind, "survey"), "file": str(file)}
     of_kind = {"map": _of_map, "tum": _of_trajectory, "log": _of_log, "phone": _of_phone}

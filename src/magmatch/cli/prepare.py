@@ -104,8 +104,8 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     """Known correction of the sensor, from a report or a recording made while rotating it."""
-    from magmatch.data.survey_columns import FIELD_COLUMNS, wanted_columns
-    from magmatch.data.tables.table import read_table
+    from magmatch.data.formats.table_columns import read_columns
+    from magmatch.data.survey_columns import FIELD_COLUMNS
     from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
     from magmatch.preparation.calibrate_in_place import fit_ellipsoid
@@ -113,8 +113,8 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
 
     if read_bytes(path, 64).lstrip()[:1] == b"{":
         return PreparationReport.load(path).sensor
-    known = wanted_columns(layout.column_names())
-    table = read_table(path, known, recover=layout.recover).renamed(known)
+    table, chosen = read_columns(path, layout)
+    table = chosen.of(table)
     table.require(FIELD_COLUMNS, "A recording of a rotating sensor needs only these")
     try:
         return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]

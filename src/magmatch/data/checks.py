@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Checks of a survey: impossible ones are refused, suspicious ones are reported."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from magmatch.arguments import expect_kind
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import GLOBAL_FRAME
 from magmatch.data.units import (
     TESLA_PER_UNIT,
     UNITS_PER_SECOND,
@@ -83,6 +84,15 @@ def require_part(survey: Any, layout: SurveyFormat | None = None) -> None:
         _require_possible_field(survey, layout)
 
 
+def require_one_frame(surveys: Sequence[Survey]) -> None:
+    """Refuse surveys for one map whose positions are about different origins on the globe."""
+    frames = list(dict.fromkeys(s.frame for s in surveys if s.frame.startswith(GLOBAL_FRAME)))
+    if len(frames) > 1:
+        origin = frames[0].removeprefix(GLOBAL_FRAME)
+        msg = f"expected surveys in one frame, found {frames[0]!r} and {frames[1]!r}; read all with --origin {origin}"
+        raise SurveyError(msg)
+
+
 def too_large(size: float) -> str:
     """What to say of a single sample whose field, of some size in T, is none that a magnetometer reads."""
     return f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
@@ -146,7 +156,9 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
         size = float(extent(survey).max())
     if size > MAX_EXTENT:
         advice = "if the numbers are in mm or cm, divide them by 1000 or 100"
-        if layout is not None:
+        if survey.frame.startswith(GLOBAL_FRAME):
+            advice = "rows without a fix (latitude and longitude 0), or several places? leave such rows out"
+        elif layout is not None:
             advice = f"read as {layout.length_unit}; if the file is in mm or cm, use --length-unit mm (or cm)"
         message = f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; {advice}"
         raise _refuse(survey, message)
@@ -170,7 +182,7 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
         yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
     elif 0 < float(extent(survey)[:2].max()) < ODD_EXTENT[0] and float(np.abs(survey.centroid[:2]).max()) > 1:
         place = ", ".join(f"{v:.4g}" for v in survey.centroid[:2])
-        yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
+        yield f"x and y hardly change around {place}: degrees? State them: --columns lat=THEIRS,lon=..."
     elif size > ODD_EXTENT[1]:
         yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"
     if words := odd_speed(survey):

@@ -15,7 +15,7 @@ from magmatch.data.formats.csv import read_survey_csv, recording_of_table, surve
 from magmatch.data.formats.euroc import read_euroc_field
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
-from magmatch.data.formats.mat import read_mat
+from magmatch.data.formats.mat import advice_for_arrays, read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import Sensor
 from magmatch.data.formats.phones.read import read_phone_log, read_phone_recording
@@ -33,7 +33,7 @@ _NOT_A_SURVEY: Mapping[FileKind, str] = {
     "map": "is a saved map, expected a survey; load it with FieldMap.load, its samples are in .survey",
     "registration": "is a registration result, expected a survey",
     "tum": "holds rows of 8 numbers without a header: a TUM trajectory has no field. Expected a survey CSV with a "
-    "header row; pass the trajectory beside it (--trajectory)",
+    "header row, or columns by number (--columns t=1,x=2,...); pass a trajectory beside it (--trajectory)",
 }
 
 
@@ -129,13 +129,19 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 
 def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
-    kind = sniff(path)
-    if kind == "phone" and layout.columns and Path(path).is_file():
-        kind = "csv"  # the user knows the columns better
+    kind = kind_of(path, layout)
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
+    if layout.rate is not None and kind in {"log", "phone", "euroc"}:
+        raise DataFormatError(path, "holds times of its own: leave out --rate")
     survey, used = READERS[kind](path, layout)
     return replace(survey, name=Path(path).name), used
+
+
+def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:
+    """What a file is by its content; where columns are stated, any text is a table: its user knows it better."""
+    kind = sniff(path)
+    return "csv" if layout.columns and kind in {"phone", "tum"} and Path(path).is_file() else kind
 
 
 def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
@@ -167,7 +173,7 @@ READERS: Mapping[FileKind, Reader] = {
     "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
     "euroc": _read_euroc,
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
-    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout), layout),
+    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout, advice_for_arrays), layout),
     "phone": _read_phone,
     "log": lambda path, layout: _joined(read_log(path, layout), layout),
 }

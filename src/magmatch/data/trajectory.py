@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from magmatch.arguments import column_of, expect_path, expect_rotations, points_of, require_increasing
+from magmatch.brief import brief
 from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.tum import read_tum, write_tum
@@ -32,6 +33,8 @@ class Trajectory:
     times: Scalars
     positions: Points
     orientations: Rotation
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         positions = points_of(self.positions, "positions", "m", "pose")

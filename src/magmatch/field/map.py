@@ -17,7 +17,7 @@ from magmatch.arguments import (
     rows_chosen,
     whole_number_of,
 )
-from magmatch.data.checks import require_part
+from magmatch.data.checks import require_one_frame, require_part
 from magmatch.data.survey import Survey, subsets
 from magmatch.data.units import field_text
 from magmatch.errors import import_extra
@@ -243,6 +243,7 @@ class FieldMap:
         """
         for survey in surveys:
             require_part(survey)
+        require_one_frame([*self.surveys, *surveys])
         old, T_model_map = self._fitted(), self.T_map_model.inv()
         fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in surveys))
         return self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)

@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
+from magmatch.brief import brief
 from magmatch.data.checks import odd_speed, require_survey
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.order import has_order
@@ -80,6 +81,8 @@ class Session:
     is_rigid: bool = False
     _live: LiveLog | None = field(default=None, init=False, repr=False)
     _maps: dict[int, FieldMap] = field(default_factory=dict, init=False, repr=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         self.config = self.config or SlamConfig()

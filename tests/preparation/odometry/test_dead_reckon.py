@@ -205,5 +205,5 @@ def test_nothing_is_walked_or_turned_in_a_pause(caplog):
 
 def test_without_vqf_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "vqf", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[odometry\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[odometry\]'"):
         dead_reckon(walk())

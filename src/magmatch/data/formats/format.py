@@ -11,7 +11,7 @@ from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
 from magmatch.settings import Settings
 
-COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw")
+COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw", "lat", "lon", "alt")
 
 
 class SurveyFormat(Settings):
@@ -33,7 +33,15 @@ class SurveyFormat(Settings):
         default=None, description="Decimal mark of a table's numbers, where they leave it in doubt (17,971)."
     )
     columns: str | None = Field(
-        default=None, description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,..."
+        default=None,
+        description="A table's columns: by name (x=pos_x,bx=mag_x,...), by number, counted from 1 (t=1,bx=2,...), or "
+        "one constant for all rows (z=0, z=1.20).",
+    )
+    rate: float | None = Field(default=None, gt=0, description="Samples per second of a table without times.")
+    origin: str | None = Field(
+        default=None,
+        description="LATITUDE,LONGITUDE[,ALTITUDE]: where columns lat, lon, alt are x = y = z = 0, in metres east, "
+        "north and up. Default: near the first sample.",
     )
     trajectory: Path | None = Field(
         default=None,
@@ -69,15 +77,15 @@ class SurveyFormat(Settings):
             update={key: value for key, value in found.items() if key not in self.model_fields_set}
         )
 
-    def column_names(self) -> dict[str, str]:
-        """Our names of columns by the file's (lower case), as far as `columns` states them."""
-        names = {}
+    def stated_columns(self) -> dict[str, str]:
+        """What `columns` states for our names of columns: the file's name (lower case), a number or a constant."""
+        stated: dict[str, str] = {}
         for pair in () if self.columns is None else self.columns.split(","):
             ours, mark, theirs = (part.strip() for part in pair.partition("="))
-            if not mark or ours not in COLUMN_NAMES or not theirs or theirs.lower() in names:
+            if not mark or ours not in COLUMN_NAMES or not theirs or ours in stated:
                 msg = (
                     f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
                 )
                 raise ConfigurationError(msg)
-            names[theirs.lower()] = ours
-        return names
+            stated[ours] = theirs.lower()
+        return stated

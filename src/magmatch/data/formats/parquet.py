@@ -13,14 +13,13 @@ import numpy as np
 from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import SCHEMA, wanted_columns
+from magmatch.data.survey_columns import SCHEMA, choose_columns
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
-from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import UNITS_PER_SECOND
-from magmatch.errors import DataFormatError, import_extra
+from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
@@ -35,14 +34,10 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     """Read the columns of a survey from a Parquet file."""
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
-        stated = layout.column_names()
-        require_stated(path, names, stated)
-        known = wanted_columns(stated)
-        wanted = {name: known[name.lower()] for name in names if name.lower() in known}
+        chosen = choose_columns(path, names, layout.stated_columns(), has_poses=layout.trajectory is None)
+        wanted = {name: chosen.ours[name.lower()] for name in names if name.lower() in chosen.ours}
         if "t" not in wanted.values():
             wanted |= _index_of_dates(Path(path), file, pa)
-        if len(set(wanted.values())) < len(wanted):
-            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
         for name in wanted:
             _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
         clock = next((name for name, ours in wanted.items() if ours == "t"), None)
@@ -51,7 +46,8 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
     n_rows = len(next(iter(found.values()), ()))
     columns = {wanted[name]: values for name, values in found.items()}
-    return Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+    table = Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+    return chosen.with_constants(table)
 
 
 def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:
@@ -74,11 +70,12 @@ def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:
 def read_other_columns(
     path: str | Path, layout: SurveyFormat, most: int
 ) -> tuple[Scalars | None, dict[str, Scalars]]:
-    """Times (s) and the finite number columns that are none of a survey's."""
-    known = wanted_columns(layout.column_names())
+    """Times in s, and the finite number columns that are none of a survey's."""
     columns: dict[str, Scalars] = {}
     with _opened(path) as (file, pa):
         schema, times = file.schema_arrow, None
+        names, has_poses = [str(name) for name in schema.names], layout.trajectory is None
+        known = choose_columns(path, names, layout.stated_columns(), has_poses=has_poses).ours
         for name in schema.names:
             ours = known.get(name.lower())
             if (ours is None and len(columns) == most) or ours not in (None, "t") or schema.names.count(name) > 1:
@@ -106,7 +103,7 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
         with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False, **limits) as file:
             yield file, pa
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-        if isinstance(error, DataFormatError):
+        if isinstance(error, MagmatchError):
             raise
         words = " ".join(str(error).split())[:150]
         raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None

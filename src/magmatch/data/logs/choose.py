@@ -88,9 +88,8 @@ def _candidates(
         raise DataFormatError(path, f"{flag} {name}: no such topic; the log holds {describe_topics(topics)}")
     typed = [topic for topic in named if topic.type in types]
     if not typed:
-        found = describe_topics(named)
-        hint = "" if what == "field" else "; poses from elsewhere: --trajectory POSES.tum, or --pose-frames MAP,BODY"
-        raise DataFormatError(path, f"expected a {what} topic ({', '.join(types)}), found {found}{hint}")
+        expected = f"expected a {what} topic ({', '.join(types)}), found {describe_topics(named)}"
+        raise DataFormatError(path, f"{expected}{_remedy(topics, what)}")
     readable = [topic for topic in typed if topic.encoding in ENCODINGS]
     if not readable:
         message = f"{typed[0].name} is encoded as {typed[0].encoding!r}, expected {', '.join(ENCODINGS)}"
@@ -99,6 +98,17 @@ def _candidates(
     if not filled:
         raise DataFormatError(path, f"{what} topic {readable[0].name} holds no messages")
     return filled
+
+
+def _remedy(topics: Sequence[Topic], what: str) -> str:
+    """What helps a log without a topic of the usual types, as far as it holds anything that could."""
+    if what == "pose":
+        tf = ", or --pose-frames MAP,BODY" if any(topic.type in TREES for topic in topics) else ""
+        return f"; poses from elsewhere: --trajectory POSES.tum{tf}"
+    may_be = [topic.name for topic in topics if topic.type in FIELD_TYPES_IF_NAMED and topic.count]
+    may_be.sort(key=lambda name: "mag" not in name.lower())
+    also = f" (or {', '.join(may_be[1:8])})" if may_be[1:] else ""
+    return f"; if vectors of the field are on it: --mag-topic {may_be[0]}{also}" if may_be else ""
 
 
 def _shared(pair: tuple[Topic, Topic]) -> float:

@@ -2,16 +2,15 @@
 """Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
 
 import logging
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from magmatch.arguments import column_of, expect_kind, found, require_finite
 from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
-from magmatch.data.tables.text_rows import require_stated
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
@@ -21,17 +20,30 @@ logger = logging.getLogger(__name__)
 NO_ROW_NUMBER = 1_000_000_000
 
 
+class Chosen(Protocol):
+    """Which columns of a table are which."""
+
+    @property
+    def ours(self) -> Mapping[str, str]:
+        """Our names by the table's (lower case)."""
+
+    def with_constants(self, table: Table) -> Table:
+        """Return a table that has our names with what else is stated."""
+
+
 def table_of_frame(
     df: Any,
     name: str,
     known: Collection[str],
     theirs: Mapping[str, str],
+    choose: Callable[[Sequence[str], Mapping[str, str]], Chosen],
     per_second: float,
     texts: Collection[str] = (),
 ) -> Table:
-    """Known columns of a DataFrame, found by name (``theirs``: {ours: theirs}); rows by position, times in s.
+    """Columns of a DataFrame by our names (``theirs``: {ours: theirs}); rows by position, times in s.
 
-    `texts` are columns of words, the same in all rows.
+    `choose` finds columns among the names there are, given what is stated; `texts` are columns of words, the same in
+    all rows.
     """
     expect_kind(name, "name", (str,))
     _expect_names(theirs)
@@ -41,18 +53,15 @@ def table_of_frame(
     if unknown := [ours for ours in theirs if ours not in known]:
         msg = f"columns: expected pairs {{ours: theirs}} with ours of {', '.join(known)}, got '{unknown[0]}'"
         raise ConfigurationError(msg)
-    wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
+    stated = {ours: str(text).lower() for ours, text in theirs.items()}
     # Of pandas: an index that is named as a column is one, such as the times.
-    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns)
-    if any(str(level).lower() in wanted.values() for level in levels):
+    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns) - {None}
+    names = list(dict.fromkeys(str(column) for column in (*df.columns, *levels)))
+    chosen = choose(names, stated)
+    if any(str(level).lower() in chosen.ours for level in levels):
         df = df.reset_index(allow_duplicates=True)
     there = {str(column).lower(): column for column in df.columns}
-    require_stated(name, tuple(map(str, df.columns)), {wanted[ours]: ours for ours in theirs})
-    columns = {
-        ours: _numbers(df[there[key]], ours, name, len(df), per_second)
-        for ours, key in wanted.items()
-        if key in there
-    }
+    columns = {ours: _numbers(df[there[key]], ours, name, len(df), per_second) for key, ours in chosen.ours.items()}
     if "t" not in columns and (times := _times_of_index(df, name)) is not None:
         columns["t"] = _numbers(times, "t", name, len(df), per_second)
     # A missing cell equals nothing, not even itself.
@@ -61,7 +70,8 @@ def table_of_frame(
         if len(words) > 1:
             raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
     one_word = {text: words[0] for text, words in said.items() if words}
-    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
+    table = Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
+    return chosen.with_constants(table)
 
 
 def _times_of_index(df: Any, name: str) -> Any:

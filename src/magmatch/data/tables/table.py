@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.tables.dates import seconds_of_date
 from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.tables.text import Block, text_blocks
 from magmatch.data.tables.text_rows import (
@@ -22,6 +23,7 @@ from magmatch.data.tables.text_rows import (
     is_row,
     listed,
     names_of,
+    numbered_names,
     numbers_at_once,
     numbers_of,
     split_header,
@@ -98,6 +100,8 @@ def read_table(
     recover: bool | None = None,
     advise: Callable[[Sequence[str]], str] = lambda _: "",
     texts: Collection[str] = (),
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None,
+    numbered: Sequence[int] = (),
     decimal: Decimal | Literal[""] | None = None,
     digits: Mapping[str, int] | None = None,
 ) -> Table:
@@ -106,16 +110,18 @@ def read_table(
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
     semicolon, tab, or else white space; or the one that a first line ``sep=;`` states. Numbers may have decimal
     commas and groups of three digits; `decimal` says which mark is decimal where the numbers leave that in doubt ("":
-    not stated; None where there is no such choice, which messages then do not offer). Columns in `digits` count units
-    of 10**-digits, such as {"t": 9} of nanoseconds, and are returned in whole units, rounded once.
+    not stated; None where there is no such choice, which messages then do not offer). Columns in `digits`, by our
+    names, count units of 10**-digits, such as {"t": 9} of nanoseconds, and are returned in whole units, rounded once.
 
     Columns that are not known (lower case) are ignored, whatever they hold; `texts` are those that hold one word for
     the whole file. `names` are the columns of formats without a header row, `raw` the content of what is no file of
     its own (a member of an archive). `recover` leaves out rows that cannot be read, and says how many, instead of
     refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
-    file that has none of the columns, from the names it has.
+    file that has none of the columns, from the names it has. `choose` picks the columns, {theirs: ours}, from the
+    names there are, where names alone do not tell; `numbered` are columns known by number, counted from 1, for which
+    no header is needed. Dates (ISO 8601) of times become seconds since 1970.
     """
-    reader = _TableReader(path, known, names, raw, recover, advise, texts, decimal, digits or {})
+    reader = _TableReader(path, known, names, raw, recover, advise, texts, choose, numbered, decimal, digits or {})
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
@@ -132,8 +138,11 @@ class _TableReader:
     recover: bool | None
     advise: Callable[[Sequence[str]], str]
     texts: Collection[str]
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None
+    numbered: Sequence[int]
     stated: Decimal | Literal[""] | None
     digits: Mapping[str, int]
+    chosen: Mapping[str, str] = field(default_factory=dict)
     said: dict[str, str] = field(default_factory=dict)
     first_fault: DataFormatError | None = None
     n_faults: int = 0
@@ -173,13 +182,20 @@ class _TableReader:
         if self.delimiter is None or self.delimiter not in first:
             self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line = split_header(first, self.delimiter), start + rows.pop(0) + 1
-            self.names = names_of(self.path, cells, line, self.known, self.comments)
+            cells, line, is_header = split_header(first, self.delimiter), start + rows[0] + 1, True
+            if self.numbered:
+                self.names, is_header = numbered_names(cells, self.numbered)
+            else:
+                self.names = names_of(self.path, cells, line, self.known, self.comments, self.advise)
+            if is_header:
+                rows.pop(0)
+        self.chosen = {name: name for name in self.known} if self.choose is None else self.choose(self.names)
+        self.digits = {name: self.digits[ours] for name, ours in self.chosen.items() if ours in self.digits}
 
     def _choose(self) -> None:
         """Which columns to read, at the first row of numbers."""
         names = self.names or ()
-        self.wanted = {name: k for k, name in enumerate(names) if name in self.known}
+        self.wanted = {name: k for k, name in enumerate(names) if name in self.chosen}
         if not self.wanted:
             message = f"expected columns such as {listed(tuple(self.known))}; found {listed(names)}"
             advice = self.advise(names)
@@ -239,6 +255,7 @@ class _TableReader:
         """Numbers of rows cell by cell, and which of the rows were kept."""
         try:
             cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
+            self._put_seconds(cells)
             self.has_commas |= any("," in row[k] for row in cells for k in self.wanted.values())
             return numbers_of(self.path, numbers, cells, self.wanted, self.decimal, self.digits), numbers
         except DataFormatError as error:
@@ -259,6 +276,14 @@ class _TableReader:
             self._looked_at(rows[part], numbers[part], is_last=False) for part in (slice(middle), slice(middle, None))
         )
         return np.concatenate([first[0], second[0]]), first[1] + second[1]
+
+    def _put_seconds(self, cells: list[list[str]]) -> None:
+        """Write times that are dates as numbers of seconds."""
+        for name in [name for name in self.wanted if self.chosen[name] == "t"]:
+            for row in cells:
+                if (seconds := seconds_of_date(row[self.wanted[name]])) is not None:
+                    row[self.wanted[name]] = repr(seconds).replace(".", "." if self.decimal == "point" else ",")
+                    self.digits = {other: n for other, n in self.digits.items() if other != name}
 
     def table(self) -> Table:
         """All that was read."""

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from magmatch.data.tables.dates import seconds_of_date
 from magmatch.data.tables.header_names import words_of
 from magmatch.data.tables.nanoseconds import LARGEST_WHOLE, seconds_of_text
 from magmatch.data.tables.number_marks import Decimal, Doubt, decimal_of, is_number, number_of_text
@@ -63,21 +64,45 @@ def split_header(first: str, delimiter: str | None) -> list[str]:
 
 
 def names_of(
-    path: str | Path, cells: list[str], line: int, known: Collection[str], comments: Sequence[str]
+    path: str | Path,
+    cells: list[str],
+    line: int,
+    known: Collection[str],
+    comments: Sequence[str],
+    advise: Callable[[Sequence[str]], str] = lambda _: "",
 ) -> tuple[str, ...]:
     """Names of the columns, lower case."""
     names = [cell.strip().strip("'\"").lower() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    if all(is_number(name) for name in names):
+    if all(map(is_sample, names)):
         message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
-        raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=line)
+        message += advice_on_comments(comments, len(names))
+        advice = advise(names)
+        raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=line)
     for name in names:
         if name in known and names.count(name) > 1:
             raise DataFormatError(
                 path, f"the column appears {names.count(name)} times; rename the others", line=line, column=name
             )
     return tuple(names)
+
+
+def numbered_names(cells: list[str], numbers: Sequence[int]) -> tuple[tuple[str, ...], bool]:
+    """Names of columns of which some are known by number, counted from 1; and whether the first row is a header.
+
+    It is one where a column so known has no number in it, or where its cells just count the columns.
+    """
+    names = [cell.strip().strip("'\"").lower() for cell in cells]
+    while names and not names[-1]:
+        names.pop()
+    counted = [str(k) for k in range(len(names) + 1)]
+    if len(names) > 1 and names in (counted[:-1], counted[1:]):
+        return tuple(names), True
+    known = [k for k in numbers if k <= len(names) and str(k) not in names]
+    is_header = not all(is_sample(names[k - 1]) for k in known)
+    named = (str(k) if k in known or not is_header else name for k, name in enumerate(names, start=1))
+    return tuple(named), is_header
 
 
 def advice_on_comments(comments: Sequence[str], n: int) -> str:
@@ -215,7 +240,7 @@ def _first_fault(
 def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
     """What to do about a cell that is no number; rows of digits are no damage."""
     if text.count(":") > 1:
-        return DataFormatError, " (times are numbers, such as seconds since 1970)"
+        return DataFormatError, " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)"
     if is_number(text):
         others = "points" if decimal == "point" else "commas"
         return ForeignNumberError, f", where other numbers have decimal {others} (write all decimals with a point)"
@@ -236,3 +261,8 @@ def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, 
     for theirs, ours in stated.items():
         if theirs not in there:
             raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
+
+
+def is_sample(text: str) -> bool:
+    """Whether a cell reads as a number or a date, and so not as a name."""
+    return is_number(text) or seconds_of_date(text) is not None

@@ -74,5 +74,15 @@ def read_phone_recording(
         log = raw
     stream = log.require(sensor or "field", "a survey")
     field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
-    hint = " ('magmatch odometry' makes one from accelerometer and gyroscope)"
+    hint = "" if layout.trajectory or trajectory is not None else _odometry_hint(path)
     return with_poses(path, stream.times, field, layout, hint, trajectory)
+
+
+def _odometry_hint(path: str | Path) -> str:
+    """Where poses may come from, if the log holds what they are made of."""
+    try:
+        found = read_phone_log(path, recover=True).streams.keys()
+    except DataFormatError:
+        return ""
+    can = "rate" in found and ("acceleration" in found or {"linear_acceleration", "gravity"} <= found)
+    return " ('magmatch odometry' makes one from accelerometer and gyroscope)" if can else ""

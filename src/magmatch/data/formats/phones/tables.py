@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables of phone apps, told by their headers: phyphox, Sensor Logger, and Android's own ``event.timestamp``."""
+"""Tables of phone apps, told by their headers: phyphox, AndroSensor, Sensor Logger, and Android's own fields."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -32,11 +32,16 @@ MEMBERS: Mapping[str, Sensor | None] = {
     "magnetometer uncalibrated": "raw_field",
 }
 AXES = ("x", "y", "z")
-# Names of phyphox: the sensor, an axis and the unit ("Magnetic field x (uT)", or "X (uT)").
+# Names of phyphox and AndroSensor: the sensor, an axis and the unit ("Magnetic field x (uT)", or "X (uT)").
 _PHYPHOX = re.compile(r"(?P<what>.*?)\s*\b(?P<axis>[xyz]) \((?P<unit>[^()]*)\)")
 _UNITS: Mapping[str, Sensor] = {
     "µt": "field", "μt": "field", "ut": "field", "m/s^2": "acceleration", "m/s²": "acceleration", "rad/s": "rate",
 }  # fmt: skip
+# Of these two apps: how a table calls its times, which are in 10**-digits s.
+_TIMES: Mapping[str, tuple[str, int]] = {
+    "phyphox": ("time (s)", 0),
+    "AndroSensor": ("time since start in ms", 3),
+}
 _ANDROID_TIME = "event.timestamp"
 _ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
 _ANDROID_VALUE = re.compile(r"(?:event\.)?values?[\[_.]?([0-2])\]?|(?:event\.)?([xyz])")
@@ -64,7 +69,7 @@ def is_phone_header(line: str) -> bool:
 def says_its_sensor(line: str, stem: str) -> bool:
     """Whether header and name of a table among others say that it is one of a sensor known here."""
     columns = columns_of(_cells(line), stem) if line else None
-    return columns is not None and bool(columns.app == "phyphox" or columns.tag or sensor_named(stem))
+    return columns is not None and bool(columns.app in _TIMES or columns.tag or sensor_named(stem))
 
 
 def read_table_streams(
@@ -77,7 +82,9 @@ def read_table_streams(
     names = _cells(lines[first])
     columns = columns_of(names, stem_of(place.name))
     if columns is None:
-        message = f"expected a phone's table (phyphox, Sensor Logger, Android); found columns {listed(names)}"
+        message = (
+            f"expected a phone's table (phyphox, AndroSensor, Sensor Logger, Android); found columns {listed(names)}"
+        )
         raise DataFormatError(place, message, line=first + 1)
     if columns.tag:
         return columns.app, _tagged(place, lines, first, columns, wanted, recover=recover)
@@ -127,7 +134,8 @@ def columns_of(names: list[str], stem: str) -> Columns | None:
             sensors.setdefault(
                 _variant(sensor, f"{what} {stem}"), tuple(f"{what} {a} ({unit})".strip() for a in AXES)
             )
-    return Columns("phyphox", "time (s)", sensors) if sensors and "time (s)" in names else None
+    app = next((app for app, (time, _) in _TIMES.items() if time in names), "")
+    return Columns(app, _TIMES[app][0], sensors) if sensors and app else None
 
 
 def _android(names: list[str], stem: str) -> Columns | None:
@@ -159,6 +167,8 @@ def _variant(sensor: Sensor, words: str) -> Sensor:
     """The sensor itself, or what is left of it without calibration or gravity."""
     if sensor == "field" and "uncal" in words:
         return "raw_field"
+    if sensor == "acceleration" and words.startswith("gravity"):
+        return "gravity"
     return "linear_acceleration" if sensor == "acceleration" and "linear" in words else sensor
 
 
@@ -166,8 +176,8 @@ def _digits_of_times(app: str, times: Scalars) -> int:
     """Times are in 10**-digits s; Android's are told by how far apart they are, sensors reading at 1 to 1000 Hz."""
     if app == "Sensor Logger":
         return 9
-    if app == "phyphox" or len(times) < 2:
-        return 0
+    if app in _TIMES or len(times) < 2:
+        return _TIMES.get(app, ("", 0))[1]
     interval = float(np.median(np.abs(np.diff(times))))
     return next((digits for digits in (9, 6, 3) if interval >= 10.0**digits / 1e3), 0)
 
