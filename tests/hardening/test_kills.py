@@ -17,7 +17,7 @@ SOURCE = Path(magmatch.__file__).parent
 ELSEWHERE = {
     "atomic.py": "the function itself",
     "data/datasets.py": "a cache, checked by SHA-256 whenever it is used",
-    "viz/viewers/rerun_recording.py": "a picture; its bytes differ each time",
+    "viz/rerun_recording.py": "a picture; its bytes differ each time",
     "slam/output/covariances.py": "as the graph below",
     "slam/output/g2o.py": "one of the files of a session's folder, which is moved into place once it is whole",
     "simulation/write_pair.py": "made again from a seed; the truth is written last",
