@@ -23,6 +23,7 @@ from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.search.loop_closure import Match
+from magmatch.slam.statement import body_at
 
 KEYS = [
     "schema",
@@ -314,8 +315,11 @@ def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):
     (path,), (after,) = lone.session.paths, lone.session.trajectories
     assert len(cells) == len(path.windows)
     sds = lone.session.standard_deviations(path.nodes)
-    for cell, middle, (place, turn) in zip(cells, path.middles, sds, strict=True):
-        assert float(cell["t"]) == pytest.approx(after.times[middle])
+    for cell, node, middle, (place, turn) in zip(cells, path.nodes, path.middles, sds, strict=True):
+        # To the last bit: nine digits of a Unix time are 10 s, and of a northing 1 cm.
+        assert float(cell["t"]) == after.times[middle]
+        T = lone.session.graph.pose(node) * body_at(path, node, is_rigid=False)[0]
+        assert [float(cell[k]) for k in "xyz"] == T.translation.tolist()
         np.testing.assert_allclose([float(cell[k]) for k in "xyz"], after.positions[middle], atol=1e-6)
         q = Rotation.from_quat([float(cell[f"q{k}"]) for k in "xyzw"])
         assert (q.inv() * after.orientations[middle]).magnitude() < 1e-6

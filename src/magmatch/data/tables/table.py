@@ -20,6 +20,7 @@ from magmatch.data.tables.text_rows import (
     split_row,
 )
 from magmatch.errors import DataFormatError
+from magmatch.number_text import exact, told
 from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
@@ -75,7 +76,7 @@ class Table:
             row = int(wrong[0]) + 1
             kind = "repeats" if values[row] == values[row - 1] else "runs backward"
             message = (
-                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times"
+                f"time {kind}: {told(values[row])} after {told(values[row - 1])}; expected strictly increasing times"
             )
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
 
@@ -267,7 +268,7 @@ def _rows(columns: Mapping[str, Scalars], texts: Mapping[str, str]) -> Iterator[
     end = "".join(f",{_quoted(text)}" for text in texts.values()) + "\n"
     n = len(next(iter(columns.values())))
     for start in range(0, n, CHUNK_ROWS):
-        cells = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
+        cells = [exact(column[start : start + CHUNK_ROWS]) for column in columns.values()]
         yield "".join(",".join(row) + end for row in zip(*cells, strict=True)).encode()
 
 

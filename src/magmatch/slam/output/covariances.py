@@ -7,6 +7,7 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.geometry import adjoint
+from magmatch.number_text import exact
 from magmatch.slam.session import Session
 from magmatch.slam.statement import body_at
 
@@ -29,8 +30,8 @@ def write_covariances(session: Session, path: Path) -> None:
             C = M @ about_node @ M.T
             # Of the first node it is zero, but for rounding.
             np.fill_diagonal(C, np.maximum(np.diagonal(C), 0.0))
-            numbers = *T.translation, *T.rotation.as_quat(), *C[UPPER]
-            at = "" if t is None else f"{t:.9g}"
-            lines.append(",".join([name, str(component), at, *(f"{x:.9g}" for x in numbers)]))
+            at = [""] if t is None else exact([t])
+            numbers = exact([*T.translation, *T.rotation.as_quat(), *C[UPPER]])
+            lines.append(",".join([name, str(component), *at, *numbers]))
     with atomic_write(path) as stream:
         stream.write("\n".join([*lines, ""]).encode())

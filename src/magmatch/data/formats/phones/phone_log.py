@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from magmatch.errors import DataFormatError
+from magmatch.number_text import told
 from magmatch.typing import Indices, Scalars, Vectors
 
 logger = logging.getLogger(__name__)
@@ -116,7 +117,7 @@ def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: I
     if len(times) and behind.max() > MAX_STEP_BACK:
         row = int(np.argmax(behind > MAX_STEP_BACK))
         message = (
-            f"time runs backward by {behind[row]:.4g} s: {times[row]:.9g} s; was the clock set, or two logs joined?"
+            f"time runs backward by {behind[row]:.4g} s: {told(times[row])} s; was the clock set, or two logs joined?"
         )
         raise DataFormatError(path, message, line=int(lines[row]))
     distinct, kept = np.unique(times, return_index=True)
