@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.errors import MissingExtraError
+from magmatch.registration.result import Links
 from magmatch.viz.figures.slices import cut_normal_to
 from magmatch.viz.rerun_recording import N_STEPS, box_of, require_rerun, scene_of, shaded, write_rerun
 
@@ -76,13 +77,17 @@ def test_thinning_is_said(pair):
 
 @pytest.fixture
 def chunks(shown, tmp_path):
-    """What Rerun's own reader finds, by path of the entity."""
     pytest.importorskip("rerun")
+    write_rerun(tmp_path / "o.rrd", shown)
+    return chunks_of(tmp_path / "o.rrd")
+
+
+def chunks_of(path):
+    """What Rerun's own reader finds, by path of the entity."""
     from rerun.chunk import RrdReader
 
-    write_rerun(tmp_path / "o.rrd", shown)
     found = {}
-    for chunk in RrdReader(tmp_path / "o.rrd").stream():
+    for chunk in RrdReader(path).stream():
         found.setdefault(chunk.entity_path, []).append(chunk.to_record_batch())
     return found
 
@@ -117,6 +122,45 @@ def test_a_recording_ends_where_the_target_is_registered(chunks, pair):
     np.testing.assert_allclose(translations[-1][0], T.translation, atol=1e-6)
     np.testing.assert_allclose(quaternions[-1][0], T.rotation.as_quat(), atol=1e-6)
     np.testing.assert_allclose(translations[0][0], 0, atol=1e-6)
+
+
+UTM = np.array([691234.5, 5334567.25, 512.0])
+
+
+def far(pair, base, target):
+    """The pair in frames with other origins."""
+    T_base, T_target = RigidTransform.from_translation(base), RigidTransform.from_translation(target)
+    T = T_base * pair.accepted.T_base_target * T_target.inv()
+    links = Links(pair.accepted.links.base + base, pair.accepted.links.target + target)
+    result = replace(pair.accepted, T_base_target=T, links=links)
+    return scene_of([pair.base.transformed(T_base), pair.target.transformed(T_target)], result)
+
+
+@pytest.mark.parametrize(("base", "target"), [(UTM, UTM), (UTM, 0 * UTM), (0 * UTM, UTM[[1, 0, 2]])])
+def test_a_recording_of_far_frames_shows_samples_where_they_are(pair, base, target, tmp_path):
+    pytest.importorskip("rerun")
+    shown = far(pair, base, target)
+    write_rerun(tmp_path / "o.rrd", shown)
+    chunks = chunks_of(tmp_path / "o.rrd")
+    near = [pair.accepted.T_base_target.apply(pair.target.positions) + base - shown.origins[0]]
+    (p,) = column(chunks["/target/samples"], "positions")
+    T = RigidTransform.from_components(
+        column(chunks["/target"], "translation")[-1][0],
+        Rotation.from_quat(column(chunks["/target"], "quaternion")[-1][0]),
+    )
+    # Single precision of positions within a kilometre and of a quaternion.
+    np.testing.assert_allclose(T.apply(np.array(p)), near[0], atol=3e-4)
+    (q,) = column(chunks["/base/samples"], "positions")
+    np.testing.assert_allclose(q, pair.base.positions + base - shown.origins[0], atol=1e-4)
+    links = np.array(column(chunks["/links"], "strips")[-1])
+    assert np.ptp(links, axis=1).max() < 1e-3
+    # Where the origin is, is said in numbers and in words.
+    origins = {"base": base, "target": target}
+    for (part, origin), place in zip(shown.placed, origins.values(), strict=True):
+        assert np.abs(origin - place).max() < 1000
+        found = column(chunks.get(f"/{part.name}", []), "origin_m")
+        assert np.array_equal(np.ravel(found), origin) if place.any() else not found
+    assert any("691000, 5334000" in words or "5334000, 691000" in words for words in shown.words)
 
 
 def test_a_recording_of_surveys_needs_no_registration(pair, tmp_path):

@@ -38,9 +38,9 @@ def write_vtk_grid(
     """Write numbers on a regular grid (m), (nx, ny, nz) or (nx, ny, nz, 3), as legacy VTK (structured points)."""
     shape = [len(axis) for axis in axes]
     origin: Vector3 = np.array([axis[0] for axis in axes])
-    head = {"DIMENSIONS": shape, "ORIGIN": origin, "SPACING": [spacing] * 3}
-    lines = [f"{word} {' '.join(exact(numbers))}" for word, numbers in head.items()]
-    stream.write(_vtk_head("STRUCTURED_POINTS") + "\n".join(lines).encode())
+    head = (("DIMENSIONS", exact(shape)), ("ORIGIN", exact(origin)), ("SPACING", exact([spacing] * 3)))
+    lines = "\n".join(f"{word} {' '.join(numbers)}" for word, numbers in head)
+    stream.write(_vtk_head("STRUCTURED_POINTS") + lines.encode())
     # VTK counts x fastest.
     flat = {name: np.moveaxis(v, (0, 1, 2), (2, 1, 0)).reshape(-1, *v.shape[3:]) for name, v in values.items()}
     _write_vtk_values(stream, int(np.prod(shape)), flat)

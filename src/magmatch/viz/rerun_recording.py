@@ -16,11 +16,12 @@ from magmatch.data.survey import Survey
 from magmatch.errors import import_extra
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotation_matrix, transform_points
+from magmatch.number_text import told
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.session import Session
-from magmatch.typing import Indices, Matrix, Scalars
-from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut, thinned
+from magmatch.typing import Indices, Matrix, Scalars, Vector3
+from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut, origins_of, thinned
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on
 from magmatch.viz.verdict import headline
@@ -55,7 +56,9 @@ class Scene:
     """Everything that a recording shows."""
 
     parts: tuple[Part, ...]  # with a registration: base and target
-    # Pose of the target's frame in the base's; the best candidate if none was accepted
+    # Points of each part's frame that are its origin in the recording, m: positions there are of single precision
+    origins: tuple[Vector3, ...]
+    # Pose of the target in the base, between these origins; the best candidate if none was accepted
     T_base_target: RigidTransform | None
     result: RegistrationResult | None
     # (float, float), uT: range of the colour scale of field magnitudes, common to all parts
@@ -66,11 +69,17 @@ class Scene:
         """Description of the picture."""
         said = [] if self.result is None else [headline(self.result) + ".", self.result.reason + "."]
         said += [f"{part.name}: {_described(part)}." for part in self.parts]
+        said += [f"{part.name}: coordinates are relative to {_place(o)} m." for part, o in self.placed if o.any()]
         low, high = self.limits
         return [*said, f"Shades of field magnitude go from {low:.3g} uT (dark) to {high:.3g} uT (light)."]
 
+    @property
+    def placed(self) -> Iterator[tuple[Part, Vector3]]:
+        """Parts with their origins."""
+        return zip(self.parts, self.origins, strict=True)
+
     def pose_of_target(self, share: float) -> RigidTransform:
-        """Where the target's frame stands on the way from as it was recorded (0) to registered (1)."""
+        """Where the target stands on the way from as it was recorded (0) to registered (1)."""
         if self.T_base_target is None:
             return RigidTransform.identity()
         ends = np.stack([np.eye(3), rotation_matrix(self.T_base_target)])
@@ -82,8 +91,9 @@ class Scene:
         if self.result is None:
             return np.zeros((0, 2, 3), dtype=np.float32)
         rows, ends = thinned(len(self.result.links.base), MAX_LINKS), self.result.links
-        moved = self.pose_of_target(share).apply(ends.target[rows])
-        return np.stack([ends.base[rows], moved], axis=1).astype(np.float32)
+        base, target = self.origins
+        moved = self.pose_of_target(share).apply(ends.target[rows] - target)
+        return np.stack([ends.base[rows] - base, moved], axis=1).astype(np.float32)
 
 
 def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> Scene:
@@ -95,7 +105,12 @@ def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | No
         for name, survey, item in zip(names, surveys, drawn, strict=True)
     )
     limits = common_limits(*(magnitude_ut(survey.field) for survey in surveys))
-    return Scene(parts, None if result is None else shown_pose(result), result, limits)
+    origins = tuple(origins_of(*(survey.positions for survey in surveys)))
+    T_base_target = None if result is None else shown_pose(result)
+    if T_base_target is not None:
+        T_base, T_target = (RigidTransform.from_translation(origin) for origin in origins)
+        T_base_target = T_base.inv() * T_base_target * T_target
+    return Scene(parts, origins, T_base_target, result, limits)
 
 
 def require_rerun() -> ModuleType:
@@ -112,18 +127,20 @@ def write_rerun(path: str | Path, shown: Scene) -> None:
 def write_session_rerun(path: str | Path, session: Session) -> None:
     """Write the largest component of a session for the Rerun viewer: its map, its logs on their way, and closures."""
     logs, graph = session.components[0], session.graph
-    with _recording(path, scene_of([session.map(0)])) as (rr, recording):
+    shown = scene_of([session.map(0)])
+    (origin,) = shown.origins
+    with _recording(path, shown) as (rr, recording):
         for k in logs:
             before = transform_points(session.logs[k].positions, session.T_map_log(k))
             moved = session.trajectories[k].positions - before
             for step in range(N_STEPS + 1):
                 recording.set_time("correction", sequence=step)
-                strip = (before + step / N_STEPS * moved).astype(np.float32)
+                strip = (before + step / N_STEPS * moved - origin).astype(np.float32)
                 recording.log(_path(rr, "logs", session.names[k]), rr.LineStrips3D([strip]))
         for name, is_kept in (("closures", True), ("rejected", False)):
             tied = [c for c in graph.closures if c.is_kept == is_kept and int(graph.log[c.second]) in logs]
             if tied:
-                strips = graph.p[[[c.first, c.second] for c in tied]].astype(np.float32)
+                strips = (graph.p[[[c.first, c.second] for c in tied]] - origin).astype(np.float32)
                 recording.log(name, rr.LineStrips3D(strips, colors=LINK), static=True)
 
 
@@ -135,21 +152,21 @@ def _recording(path: str | Path, shown: Scene) -> Iterator[tuple[ModuleType, Any
     memory = recording.memory_recording()
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     recording.log("words", rr.TextDocument("\n\n".join(shown.words)), static=True)
-    for part in shown.parts:
-        _log_part(rr, recording, shown, part)
+    for part, origin in shown.placed:
+        _log_part(rr, recording, shown, part, origin)
     yield rr, recording
     content = memory.drain_as_bytes()
     with atomic_write(path) as stream:
         stream.write(content)
 
 
-def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part) -> None:
+def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part, origin: Vector3) -> None:
     """Samples, and the map on a cut."""
     low, high = box_of(shown)
     size = float(np.linalg.norm(high - low))
     magnitude = magnitude_ut(part.survey.field[part.rows])
     samples = rr.Points3D(
-        part.survey.positions[part.rows].astype(np.float32),
+        (part.survey.positions[part.rows] - origin).astype(np.float32),
         colors=shaded(magnitude, shown.limits).astype(np.uint8),
         radii=POINT_SHARE * size,
     )
@@ -158,6 +175,8 @@ def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part) -> None:
     bx, by, bz = UT_PER_TESLA * part.survey.field[part.rows].T
     values = rr.AnyValues(bx_ut=bx, by_ut=by, bz_ut=bz)
     recording.log(_path(rr, part.name, "samples"), values, static=True)
+    if origin.any():
+        recording.log(_path(rr, part.name), rr.AnyValues(origin_m=origin), static=True)
     if part.field_map is None:
         return
     cut = cut_through(part.survey.positions)
@@ -166,7 +185,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part) -> None:
     faces = _faces(cut, is_known)
     if len(faces):
         mesh = rr.Mesh3D(
-            vertex_positions=cut.points.astype(np.float32),
+            vertex_positions=(cut.points - origin).astype(np.float32),
             triangle_indices=faces,
             vertex_colors=colors.astype(np.uint8),
         )
@@ -210,12 +229,16 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
 
 
 def box_of(shown: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of all parts, the target where it belongs, base frame."""
-    p = [part.survey.positions[thinned(len(part.survey), 2000)] for part in shown.parts]
+    """Lowest and highest corner of all parts, the target where it belongs, as recorded."""
+    p = [part.survey.positions[thinned(len(part.survey), 2000)] - origin for part, origin in shown.placed]
     if shown.T_base_target is not None:
         p[-1] = shown.T_base_target.apply(p[-1])
     everything = np.concatenate(p)
     return everything.min(axis=0), everything.max(axis=0)
+
+
+def _place(origin: Vector3) -> str:
+    return ", ".join(told(v) for v in origin)
 
 
 def _described(part: Part) -> str:
