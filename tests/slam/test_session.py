@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a session says of itself: the document, the folder, and the graph for other programs."""
 
+import csv
 import json
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.find_places import settled
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
+from magmatch.slam.output.covariances import write_covariances
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
@@ -306,6 +308,15 @@ def test_fixed_points_that_are_given_again_count_once(lone):
 def test_drift_that_cannot_be_is_refused(sd):
     with pytest.raises(ValueError, match=r"odometry\.sd"):
         SlamConfig(odometry={"sd": sd})
+
+
+def test_covariances_are_a_table_whatever_a_log_is_called(lone, tmp_path, monkeypatch):
+    monkeypatch.setattr(mm.Session, "names", property(lambda _: ['a "b", c']))
+    write_covariances(lone.session, tmp_path / "covariances.csv")
+    with (tmp_path / "covariances.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["log"] for row in rows} == {'a "b", c'}
+    assert all(None not in row and float(row["c55"]) >= 0 for row in rows)
 
 
 def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):

@@ -253,23 +253,29 @@ class _TableReader:
         return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said)
 
 
-def write_table(path: str | Path, columns: Mapping[str, Scalars], texts: Mapping[str, str] | None = None) -> None:
-    """Write number columns as CSV, and words that are the same in all rows; reading gives the same float64 values.
+def write_table(
+    path: str | Path, columns: Mapping[str, Scalars | list[str]], texts: Mapping[str, str] | None = None
+) -> None:
+    """Write columns of numbers or words as CSV, and words that are the same in all rows; numbers read back the same.
 
-    Words stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
+    The latter stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
     """
     with atomic_write(path) as stream:
         stream.writelines(_rows(columns, texts or {}))
 
 
-def _rows(columns: Mapping[str, Scalars], texts: Mapping[str, str]) -> Iterator[bytes]:
+def _rows(columns: Mapping[str, Scalars | list[str]], texts: Mapping[str, str]) -> Iterator[bytes]:
     """Encode a table piece by piece."""
     yield (",".join([*columns, *texts]) + "\n").encode()
     end = "".join(f",{_quoted(text)}" for text in texts.values()) + "\n"
     n = len(next(iter(columns.values())))
     for start in range(0, n, CHUNK_ROWS):
-        cells = [exact(column[start : start + CHUNK_ROWS]) for column in columns.values()]
+        cells = [_cells(column[start : start + CHUNK_ROWS]) for column in columns.values()]
         yield "".join(",".join(row) + end for row in zip(*cells, strict=True)).encode()
+
+
+def _cells(column: Scalars | list[str]) -> list[str]:
+    return list(map(_quoted, column)) if isinstance(column, list) else exact(column)
 
 
 def _quoted(text: str) -> str:

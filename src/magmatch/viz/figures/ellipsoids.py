@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from magmatch.geometry import covariance_about, exp_se3, rotation_matrix, transform_points
+from magmatch.number_text import told
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Matrix, Points, Scalars, Vector3
 
@@ -57,7 +58,7 @@ def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirec
 
 def length_text(metres: float) -> str:
     """A length in a convenient unit."""
-    return f"{1e3 * metres:.3g} mm" if metres < 0.9995 else f"{metres:.3g} m"
+    return f"{1e3 * metres:.3g} mm" if metres < 0.9995 else f"{told(metres, 3, 1.0)} m"
 
 
 def angle_text(radians: float) -> str:
