@@ -170,7 +170,7 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
     if size < ODD_EXTENT[0]:
         yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
     elif 0 < float(extent(survey)[:2].max()) < ODD_EXTENT[0] and float(np.abs(survey.centroid[:2]).max()) > 1:
-        place = ", ".join(told(v, 4, 1e-3) for v in survey.centroid[:2])
+        place = ", ".join(told(v, 4, 1.0) for v in survey.centroid[:2])
         yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
     elif size > ODD_EXTENT[1]:
         yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"

@@ -13,7 +13,6 @@ from magmatch.data.formats.channels import NO_CHANNELS, Channels
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
-from magmatch.number_text import told
 from magmatch.typing import Scalars, Vectors
 
 logger = logging.getLogger(__name__)
@@ -67,10 +66,10 @@ class Recording:
         is_covered = poses.covers(times)
         n_covered = int(is_covered.sum())
         if n_covered == 0:
-            span = f"{told(times[0])} to {told(times[-1])} s" if len(times) else "nothing"
+            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "nothing"
             message = (
                 f"no sample lies within the trajectory: the field covers {span}, "
-                f"{self.poses_from or 'the poses'} covers {told(poses.times[0])} to {told(poses.times[-1])} s; "
+                f"{self.poses_from or 'the poses'} covers {poses.times[0]:.3f} to {poses.times[-1]:.3f} s; "
                 "both need the same clock"
             )
             raise DataFormatError(self.path, message, column="t")
