@@ -23,7 +23,8 @@ ELSEWHERE = {
 IN_CATALOGUE = {
     "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",
     "data/tables/tum.py", "data/write.py", "field/storage/archive.py", "field/axis_grid.py", "registration/g2o.py",
-    "registration/to_other_programs.py", "registration/index/mapped_arrays.py", "serve/bodies/checkpoints.py", "viz/pages/page.py",
+    "registration/to_other_programs.py", "registration/index/mapped_arrays.py", "serve/bodies/checkpoints.py",
+    "viz/pages/page.py",
 }  # fmt: skip
 
 
