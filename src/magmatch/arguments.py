@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.number_text import told
 from magmatch.typing import Points, Scalars
 
 _KINDS = {
@@ -162,7 +163,7 @@ def require_increasing(times: Scalars, thing: str = "sample") -> None:
     if len(wrong):
         i = int(wrong[0]) + 1
         kind = "repeats" if times[i] == times[i - 1] else "runs backward"
-        order = f"{times[i]:.9g} after {times[i - 1]:.9g} s"
+        order = f"{told(times[i])} after {told(times[i - 1])} s"
         msg = f"time {kind} at {thing} {i}: {order}; expected strictly increasing times"
         raise ValueError(msg)
 

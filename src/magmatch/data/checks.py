@@ -20,6 +20,7 @@ from magmatch.data.units import (
     likely_field_unit,
 )
 from magmatch.errors import SurveyError
+from magmatch.number_text import told
 from magmatch.typing import Indices, Scalars
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
@@ -181,7 +182,7 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
     if size < ODD_EXTENT[0]:
         yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
     elif 0 < float(extent(survey)[:2].max()) < ODD_EXTENT[0] and float(np.abs(survey.centroid[:2]).max()) > 1:
-        place = ", ".join(f"{v:.4g}" for v in survey.centroid[:2])
+        place = ", ".join(told(v, 4, 1.0) for v in survey.centroid[:2])
         yield f"x and y hardly change around {place}: degrees? State them: --columns lat=THEIRS,lon=..."
     elif size > ODD_EXTENT[1]:
         yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"
@@ -211,7 +212,7 @@ def _doubt_jumps(survey: Survey) -> Iterator[str]:
         steps = np.linalg.norm(survey.positions[rows + 1] - survey.positions[rows], axis=1)
         k = int(steps.argmax())
         more = f", and {len(rows) - 1} more" if len(rows) > 1 else ""
-        said = f"the position jumps by {steps[k]:.3g} m at {survey.times[rows[k]]:.9g} s{more}"
+        said = f"the position jumps by {steps[k]:.3g} m at {told(survey.times[rows[k]])} s{more}"
         yield f"{said}: odometry that lost itself, or two logs in one?"
 
 
@@ -247,7 +248,7 @@ def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
     unit = _likely_time_unit(survey) if read_as == "s" else None
     if unit is not None and survey.times is not None:
         step = float(np.median(np.diff(survey.times)))
-        span = f"times begin at {survey.times[0]:.9g} s, with a sample every {step:.4g} s"
+        span = f"times begin at {told(survey.times[0])} s, with a sample every {step:.4g} s"
         yield f"{span}: are they in {unit}? (--time-unit {unit})"
         return
     gaps = time_gaps(survey)

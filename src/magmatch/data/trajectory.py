@@ -13,6 +13,7 @@ from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.tum import read_tum, write_tum
 from magmatch.errors import DataFormatError
+from magmatch.number_text import told
 from magmatch.typing import Mask, Points, Scalars
 
 
@@ -72,7 +73,7 @@ class Trajectory:
         if outside.any():
             msg = (
                 f"{int(outside.sum())} of {len(times)} times lie outside the trajectory's "
-                f"{self.times[0]:.9g} to {self.times[-1]:.9g} s; drop them first (Trajectory.covers)"
+                f"{told(self.times[0])} to {told(self.times[-1])} s; drop them first (Trajectory.covers)"
             )
             raise ValueError(msg)
         hit = np.minimum(np.searchsorted(self.times, times), len(self) - 1)

@@ -14,7 +14,7 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.result import AnchorResult, ClosureResult, LogOdometry, Odometry, Recalibration, SlamStatus
 from magmatch.slam.sensor_bias import recalibrations_of
 from magmatch.slam.windows import Path, Window
-from magmatch.typing import Covariance6, Vector3
+from magmatch.typing import Vector3
 
 
 def state_closure(
@@ -47,12 +47,6 @@ def body_at(path: Path, node: int, *, is_rigid: bool) -> tuple[RigidTransform, f
     R = None if survey.orientations is None else survey.orientations[at]
     T = RigidTransform.identity() if R is None else RigidTransform.from_rotation(R)
     return T, None if survey.times is None else float(survey.times[at]), float(path.walked[at])
-
-
-def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
-    """A covariance of xi about a frame's origin as one about a point of the frame, same axes."""
-    M = adjoint(RigidTransform.from_translation(-point))
-    return np.asarray(M @ covariance @ M.T)
 
 
 def state_anchors(

@@ -31,6 +31,7 @@ from magmatch.data.tables.text_rows import (
     stated_delimiter,
 )
 from magmatch.errors import DataFormatError
+from magmatch.number_text import exact, told
 from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
@@ -85,7 +86,7 @@ class Table:
             row = int(wrong[0]) + 1
             kind = "repeats" if values[row] == values[row - 1] else "runs backward"
             message = (
-                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times "
+                f"time {kind}: {told(values[row])} after {told(values[row - 1])}; expected strictly increasing times "
                 "of one recording, whose rows are sorted by time"
             )
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
@@ -311,23 +312,29 @@ class _TableReader:
         )
 
 
-def write_table(path: str | Path, columns: Mapping[str, Scalars], texts: Mapping[str, str] | None = None) -> None:
-    """Write number columns as CSV, and words that are the same in all rows; reading gives the same float64 values.
+def write_table(
+    path: str | Path, columns: Mapping[str, Scalars | list[str]], texts: Mapping[str, str] | None = None
+) -> None:
+    """Write columns of numbers or words as CSV, and words that are the same in all rows; numbers read back the same.
 
-    Words stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
+    The latter stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
     """
     with atomic_write(path) as stream:
         stream.writelines(_rows(columns, texts or {}))
 
 
-def _rows(columns: Mapping[str, Scalars], texts: Mapping[str, str]) -> Iterator[bytes]:
+def _rows(columns: Mapping[str, Scalars | list[str]], texts: Mapping[str, str]) -> Iterator[bytes]:
     """Encode a table piece by piece."""
     yield (",".join([*columns, *texts]) + "\n").encode()
     end = "".join(f",{_quoted(text)}" for text in texts.values()) + "\n"
     n = len(next(iter(columns.values())))
     for start in range(0, n, CHUNK_ROWS):
-        cells = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
+        cells = [_cells(column[start : start + CHUNK_ROWS]) for column in columns.values()]
         yield "".join(",".join(row) + end for row in zip(*cells, strict=True)).encode()
+
+
+def _cells(column: Scalars | list[str]) -> list[str]:
+    return list(map(_quoted, column)) if isinstance(column, list) else exact(column)
 
 
 def _quoted(text: str) -> str:

@@ -10,6 +10,7 @@ from magmatch.atomic import atomic_write
 from magmatch.data.tables.ordered_table import read_ordered
 from magmatch.data.tables.table import Table
 from magmatch.data.units import LengthUnit, TimeUnit
+from magmatch.number_text import exact
 from magmatch.typing import Points, Scalars
 
 TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -33,9 +34,9 @@ def write_poses(path: str | Path, times: Scalars, poses: RigidTransform | None) 
         write_tum(path, times, poses.translation, poses.rotation.as_quat())
 
 
-def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: np.ndarray) -> None:
-    """Write a trajectory in TUM layout."""
-    rows = np.column_stack([times, positions, quaternions]).tolist()
-    lines = [f"# {' '.join(TUM_COLUMNS)}", *(" ".join(map(repr, row)) for row in rows), ""]
+def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: np.ndarray, of: str = "") -> None:
+    """Write a trajectory in TUM layout; the comment above it says what it is `of`."""
+    rows = np.column_stack([times, positions, quaternions])
+    lines = [f"# {of}{' '.join(TUM_COLUMNS)}", *(" ".join(exact(row)) for row in rows), ""]
     with atomic_write(path) as stream:
         stream.write("\n".join(lines).encode())

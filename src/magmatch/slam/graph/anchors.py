@@ -22,6 +22,7 @@ from magmatch.data.tables.text_rows import (
 )
 from magmatch.data.tables.text_rows import numbers_of as numbers_in
 from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.number_text import told
 from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.trajectories import around
 from magmatch.slam.windows import Path
@@ -101,7 +102,7 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     for i, sd in zip(at, numbers[:, -1], strict=True):
         if sd <= 0:
             raise DataFormatError(
-                path, f"expected a standard deviation above 0 m, found {sd:g}", line=i + 1, column="sd"
+                path, f"expected a standard deviation above 0 m, found {told(sd)}", line=i + 1, column="sd"
             )
     logs = [row[names.index("log")].strip() for row in cells]
     return [
@@ -124,8 +125,8 @@ def of_logs(anchors: Sequence[Anchor], given: Sequence[Survey], names: Sequence[
             msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
             raise ConfigurationError(msg)
         if not times[0] <= anchor.t <= times[-1]:
-            between = f"between {times[0]:.9g} and {times[-1]:.9g} s, when log {anchor.log!r} was walked"
-            msg = f"{anchor.source}: expected a time {between}, found {anchor.t:.9g}"
+            between = f"between {told(times[0])} and {told(times[-1])} s, when log {anchor.log!r} was walked"
+            msg = f"{anchor.source}: expected a time {between}, found {told(anchor.t)}"
             raise ConfigurationError(msg)
         found.append((anchor, of))
     return found

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from magmatch.errors import DataFormatError
+from magmatch.number_text import told
 from magmatch.typing import Indices, Scalars, Vectors
 
 logger = logging.getLogger(__name__)
@@ -116,8 +117,8 @@ def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: I
     if len(times) and behind.max() > MAX_STEP_BACK:
         row = int(np.argmax(behind > MAX_STEP_BACK))
         message = (
-            f"time runs backward by {behind[row]:.4g} s: {times[row]:.9g} s; two logs joined, a clock that was set, "
-            "or rows in disorder (sort them by time)?"
+            f"time runs backward by {behind[row]:.4g} s: {told(times[row])} s; two logs joined, a clock that was "
+            "set, or rows in disorder (sort them by time)?"
         )
         raise DataFormatError(path, message, line=int(lines[row]))
     distinct, kept = np.unique(times, return_index=True)
