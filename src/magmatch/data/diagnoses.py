@@ -207,21 +207,22 @@ def _of_axes(alike: tuple[Hypothesis, ...], read: Turned) -> str:
     """How to read the axes; which way the field points along z tells the sign that scatter does not."""
     if len(alike) > MOST_WAYS:
         return "the motion does not tell which way: state how the sensor is mounted (--extrinsic)"
-    if len(alike) > 1:
-        ways = " or ".join(f"({one.axes})" for one in alike)
-        return (
-            f"x, y, z are {ways} of what is read, or one of these with all signs reversed; the motion does not tell "
-            "which, the sensor's data sheet or mount does (--columns with signs, or --extrinsic)"
+    ways = [_downward(AXES[one.axes], read) for one in alike]
+    listed = " or ".join(f"({named(axes)})" for axes in ways)
+    options = "--columns " + ",".join(f"b{x}={way}" for x, way in zip("xyz", _named_columns(ways[0]), strict=True))
+    if len(ways) > 1:
+        options = (
+            "the motion does not tell which, its data sheet or mount does (--columns with a minus, or --extrinsic)"
         )
-    axes = AXES[alike[0].axes]
-    dip = inclination_deg(read.mean(axes))
-    if dip < -PLAUSIBLE_BEND:
-        axes = -axes
-    options = "--columns " + ",".join(f"b{x}={way}" for x, way in zip("xyz", _named_columns(axes), strict=True))
-    if np.linalg.det(axes) > 0:
-        options = f"{_extrinsic(Rotation.from_matrix(axes))} or {options}"
+    elif np.linalg.det(ways[0]) > 0:
+        options = f"{_extrinsic(Rotation.from_matrix(ways[0]))} or {options}"
     also = "; where the field points up along z, as south of the magnetic equator, all three signs are reversed"
-    return f"x, y, z are ({named(axes)}) of what is read: {options}{also}"
+    return f"x, y, z are {listed} of what is read: {options}{also}"
+
+
+def _downward(axes: np.ndarray, read: Turned) -> np.ndarray:
+    """The axes, or all of them reversed if the field would point up steeply, as in most of the places surveyed."""
+    return -axes if inclination_deg(read.mean(axes)) < -PLAUSIBLE_BEND else axes
 
 
 def _named_columns(axes: np.ndarray) -> list[str]:

@@ -105,10 +105,14 @@ def mistake_made(points: Points, conventions: Mapping[str, Turned]) -> Found | N
     support the same one. A constant in the sensor's axes (hard iron) is free for hypotheses that leave a field like
     the Earth's beside it; otherwise it would stand in for the Earth's. Without it more hypotheses are told apart.
     """
-    whole, parts, told = _Judged.of(points, conventions), [], []
-    for free in (True,) if whole.declared_stands_still else (True, False):
+    whole = _Judged.of(points, conventions)
+    parts: list[_Judged] = []
+    told: list[Found] = []
+    for free in (True, False):
         found = whole.least(free=free)
         if found is None or (not free and whole.is_beaten(found)):
+            continue
+        if not free and whole.declared_stands_still and not (told and found.hypotheses[0] in told[0].hypotheses):
             continue
         parts = parts or _parts(points, conventions)
         if all(part.agrees(found, free=free) for part in parts):
@@ -172,31 +176,32 @@ class _Judged:
         fewest = int(n_mistakes[LESS * scatter <= scatter.min()].min())
         among = np.where(n_mistakes == fewest, scatter, np.inf)
         best = float(among.min())
-        turned = self._best_rotations(free=free)
-        if turned and min(value for _, value in turned.values()) < LESS * min(best, declared):
-            return self._mount(turned, declared, free=free)
+        any_axes = dict.fromkeys(one.convention for one in self.hypotheses if one.axes != OWN)
+        rotations = {name: self.grams[name][free].best_rotation() for name in any_axes if fewest or name == DECLARED}
+        if rotations and min(value for _, value in rotations.values()) < LESS * min(best, declared):
+            return self._mount(rotations, declared, free=free)
+        # One mistake, a mount, may explain what two do.
+        if fewest > 1 and LESS * rotations[DECLARED][1] <= best:
+            return None
         more = scatter[n_mistakes > fewest].min(initial=np.inf)
         if fewest == 0 or not best < LESS * declared or more < TIE * best:
             return None
-        order = [k for k in np.argsort(among, kind="stable") if LESS * among[k] <= best]
-        return Found(tuple(self.hypotheses[k] for k in order), best / declared)
+        alike = [self.hypotheses[k] for k in np.argsort(among, kind="stable") if LESS * among[k] <= best]
+        if len(alike) == 1 and alike[0].axes != OWN:
+            axes, least = rotations[alike[0].convention]
+            # The permutation may only be what is nearest to a mount that the motion hardly tells.
+            if least < TIE * best and _apart(axes, AXES[alike[0].axes]) > MOUNT:
+                return None
+        return Found(tuple(alike), best / declared)
 
-    def _best_rotations(self, *, free: bool) -> dict[str, tuple[Matrix, float]]:
-        """Of each convention in which the axes may be others: the rotation of them that scatters least."""
-        found = {}
-        for name in {one.convention for one in self.hypotheses if one.axes != OWN}:
-            rotations, values = self.grams[name][free].best_rotations()
-            found[name] = rotations[values.argmin()], float(values.min())
-        return found
-
-    def _mount(self, turned: Mapping[str, tuple[Matrix, float]], declared: float, *, free: bool) -> Found | None:
+    def _mount(self, rotations: Mapping[str, tuple[Matrix, float]], declared: float, *, free: bool) -> Found | None:
         """The rotation that scatters less than any permutation, if it is one alone; None if it is not certain."""
-        axes, least = turned.get(DECLARED, (np.eye(3), np.inf))
+        axes, least = rotations[DECLARED]
         gram, mount = self.grams[DECLARED][free], Rotation.from_matrix(axes)
-        others = [value for name, (_, value) in turned.items() if name != DECLARED]
-        # What is no more than MOUNT away is the same.
-        rotations, values = gram.best_rotations()
-        apart = (Rotation.from_matrix(rotations) * mount.inv()).magnitude() > np.radians(MOUNT)
+        others = [value for name, (_, value) in rotations.items() if name != DECLARED]
+        # Nothing that is farther away scatters as little.
+        turned, values = gram.rotations()
+        apart = _apart(axes, turned) > MOUNT
         around = mount * Rotation.from_rotvec(np.radians(MOUNT) * DIRECTIONS)
         others += [*values[apart], *gram.scatter(around.as_matrix().reshape(-1, 9))]
         is_mount = free and mount.magnitude() > np.radians(MOUNT)
@@ -235,9 +240,14 @@ class _Gram:
     def scatter(self, numbers: Matrix) -> Scalars:
         """Geometric mean of the two variances, for matrices as rows (k, 9)."""
         both = (np.einsum("ki,ij,kj->k", numbers, gram, numbers) for gram in (self.whole, self.near))
-        return np.sqrt(np.maximum(np.prod(list(both), axis=0), 0)) + RESOLVED**2
+        return np.asarray(np.sqrt(np.maximum(np.prod(list(both), axis=0), 0)) + RESOLVED**2)
 
-    def best_rotations(self) -> tuple[np.ndarray, Scalars]:
+    def best_rotation(self) -> tuple[Matrix, float]:
+        """The rotation of the axes that scatters least, and its scatter."""
+        turned, values = self.rotations()
+        return turned[values.argmin()], float(values.min())
+
+    def rotations(self) -> tuple[np.ndarray, Scalars]:
         """Rotations (k, 3, 3) that scatter least near each of AXES, by Newton's method, and their scatter."""
         turned = np.array(list(AXES.values()))
         for _ in range(STEPS):
@@ -257,6 +267,11 @@ class _Gram:
                 @ Rotation.from_rotvec(step * np.minimum(1, MAX_STEP / np.maximum(length, MAX_STEP))).as_matrix()
             )
         return turned, self.scatter(turned.reshape(-1, 9))
+
+
+def _apart(axes: Matrix, others: np.ndarray) -> Scalars:
+    """Deg between rotations."""
+    return np.degrees(np.asarray((Rotation.from_matrix(others) * Rotation.from_matrix(axes).inv()).magnitude()))
 
 
 def _stand_still(earth: Matrix, numbers: Matrix) -> Mask:

@@ -6,15 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
-from magmatch.data.tables.quaternions import QUATERNION
+from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
+from magmatch.errors import DataFormatError
 from magmatch.typing import Points
 
 logger = logging.getLogger(__name__)
@@ -31,6 +35,9 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
 
 def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
     """Turn a table of samples, from whatever format, into a survey."""
+    table = replace(
+        table, columns=table.columns | {k: -table.columns[k] for k in layout.reversed_columns() if table.has(k)}
+    )
     if table.has("t") and layout.time_unit != "s":
         times = table.columns["t"] / UNITS_PER_SECOND[layout.time_unit]
         table = replace(table, columns=table.columns | {"t": times})
@@ -38,8 +45,25 @@ def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
         survey = recording_of_table(table, layout).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)
     _require_own_poses(table)
+    if layout.extrinsic is not None:
+        table = _carried(table, layout)
     survey = Survey.from_table(table, layout.field_unit, layout.length_unit, layout.field_frame)
     return survey if layout.pose_sd is None else replace(survey, pose_sd=layout.pose_sd)
+
+
+def _carried(table: Table, layout: SurveyFormat) -> Table:
+    """Turn a table's poses, of the body that carries the sensor, into the sensor's own."""
+    orientations, T_body_sensor = rotations_of(table), read_extrinsic(layout.extrinsic or "")
+    if orientations is None:
+        message = (
+            "has no orientations (qx, qy, qz, qw), which --extrinsic needs: the sensor's mount turns with its body"
+        )
+        raise DataFormatError(table.path, message)
+    lever = orientations.apply(np.asarray(T_body_sensor.translation)) / METRE_PER_UNIT[layout.length_unit]
+    moved = [table.stack(*POSITION_COLUMNS) + lever, (orientations * T_body_sensor.rotation).as_quat()]
+    return replace(
+        table, columns=table.columns | dict(zip((*POSITION_COLUMNS, *QUATERNION), np.hstack(moved).T, strict=True))
+    )
 
 
 def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:

@@ -25,7 +25,8 @@ class SurveyFormat(Settings):
     )
     time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
     columns: str | None = Field(
-        default=None, description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,..."
+        default=None,
+        description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,... A minus reverses: by=-mag_y.",
     )
     trajectory: Path | None = Field(
         default=None,
@@ -60,7 +61,7 @@ class SurveyFormat(Settings):
         """Our names of columns by the file's (lower case), as far as `columns` states them."""
         names = {}
         for pair in () if self.columns is None else self.columns.split(","):
-            ours, mark, theirs = (part.strip() for part in pair.partition("="))
+            ours, mark, theirs = (part.strip() for part in pair.replace("=-", "=").partition("="))
             if not mark or ours not in COLUMN_NAMES or not theirs or theirs.lower() in names:
                 msg = (
                     f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
@@ -68,3 +69,8 @@ class SurveyFormat(Settings):
                 raise ConfigurationError(msg)
             names[theirs.lower()] = ours
         return names
+
+    def reversed_columns(self) -> tuple[str, ...]:
+        """Our names of the columns that `columns` states with a minus."""
+        pairs = () if self.columns is None else self.columns.split(",")
+        return tuple(pair.split("=")[0].strip() for pair in pairs if "=-" in pair)
