@@ -172,7 +172,7 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
         place = ", ".join(f"{v:.4g}" for v in survey.centroid[:2])
         yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
     elif size > ODD_EXTENT[1]:
-        yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"
+        yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres or centimetres (--length-unit)?"
     if words := odd_speed(survey):
         yield words
 
