@@ -22,7 +22,7 @@ NEGLIGIBLE = 0.01  # uT, %, deg
 
 def calibration_steps(
     survey: Survey, sensor_log: SensorLog | None, calibration: Calibration | None, config: PreparationConfig,
-    channels: Mapping[str, Scalars],
+    channels: Mapping[str, Scalars], why_not: str = "",
 ) -> list[StepReport]:  # fmt: skip
     """Reports of the time offset, hard iron, soft iron, misalignment and each channel."""
     c = config.calibration
@@ -36,7 +36,7 @@ def calibration_steps(
         if mode == "off":
             steps.append(StepReport(label, "off", ""))
         elif calibration is None or name not in calibration.full.estimate:
-            steps.append(StepReport(label, "unknown", _why_not(name, survey, sensor_log)))
+            steps.append(StepReport(label, "unknown", why_not or _why_not(name, survey, sensor_log)))
         else:
             steps.append(_error_report(name, label, calibration))
     if config.currents.mode != "off" and calibration is not None:

@@ -18,6 +18,9 @@ from magmatch.preparation.survey_steps import find_disturbances, resampling_step
 from magmatch.progress import Progress, followed
 from magmatch.typing import Scalars
 
+# Why nothing is calibrated where vectors or poses are not in the frames that are declared.
+WRONG_FRAME = "vectors or poses are in another frame than declared, as the warning says; no calibration corrects that"
+
 
 def prepare(
     survey: Survey,
@@ -61,13 +64,15 @@ def prepare(
         Nothing is left after removing disturbances.
     """
     require_survey(survey)
-    warn([survey])
+    is_wrong = any(one.is_of_frames for one in warn([survey]))
     config = config or PreparationConfig()
     expect_kind(config, "config", (PreparationConfig,))
     if trajectory is not None:
         expect_kind(trajectory, "trajectory", (Trajectory,), "Trajectory.load reads one from a TUM file")
     with followed(progress):
-        estimated = estimate_sensor(survey, trajectory, channels or {}, sensor, config)
+        estimated = estimate_sensor(
+            survey, trajectory, channels or {}, sensor, config, why_not=WRONG_FRAME if is_wrong else ""
+        )
     corrected, rows = estimated.correct(survey)
     kept, disturbances = find_disturbances(corrected, estimated.readings(survey)[rows], estimated.calibration, config)
     if not kept.any():

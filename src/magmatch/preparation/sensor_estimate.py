@@ -30,6 +30,7 @@ class SensorEstimate:
     cuts: Recalibrations  # where the phone recalibrated itself; `log` has them joined
     calibration: Calibration | None
     channels: Mapping[str, Scalars]  # other channels of the log
+    why_not: str = ""  # why nothing was calibrated, where something else is wrong
 
     @property
     def model(self) -> SensorModel:
@@ -53,9 +54,14 @@ class SensorEstimate:
 
     def steps(self, survey: Survey, config: PreparationConfig) -> list[StepReport]:
         """What was done, step by step."""
-        joined = [recalibration_step(self.cuts, self.log, self.calibration)] if config.recalibration == "auto" else []
-        found = calibration_steps(survey, self.log, self.calibration, config, self.channels)
+        joined = [self._recalibration_step()] if config.recalibration == "auto" else []
+        found = calibration_steps(survey, self.log, self.calibration, config, self.channels, self.why_not)
         return [known_sensor_step(self.known), *joined, *found]
+
+    def _recalibration_step(self) -> StepReport:
+        if self.why_not:
+            return StepReport("recalibration", "unknown", self.why_not)
+        return recalibration_step(self.cuts, self.log, self.calibration)
 
 
 def estimate_sensor(
@@ -64,8 +70,13 @@ def estimate_sensor(
     channels: Mapping[str, Scalars],
     known: SensorModel | None,
     config: PreparationConfig,
+    *,
+    why_not: str = "",
 ) -> SensorEstimate:
-    """Take off what is known, join what the phone recalibrated, and calibrate what is left."""
+    """Take off what is known, join what the phone recalibrated, and calibrate what is left.
+
+    `why_not` says why nothing can be calibrated: vectors in a wrong frame are not the sensor's readings.
+    """
     channels = {
         name: column_of(values, f"channel {name}", "any unit", len(survey)) for name, values in channels.items()
     }
@@ -77,6 +88,8 @@ def estimate_sensor(
     sensor_log = SensorLog.of(survey, trajectory)
     if known is not None:
         sensor_log = replace(sensor_log, readings=known.corrected(sensor_log.readings))
+    if why_not:
+        return SensorEstimate(known, sensor_log, NO_CUTS, None, channels, why_not)
     cuts = find_recalibrations(sensor_log) if config.recalibration == "auto" else NO_CUTS
     sensor_log = cuts.joined(sensor_log) if len(cuts) else sensor_log
     every = _with_pieces(channels, cuts, len(sensor_log))

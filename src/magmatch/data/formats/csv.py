@@ -63,6 +63,8 @@ def survey_of_table(
     `advise` says how to name what is missing.
     """
     table = _at_rate(table, layout)
+    turned = {name: -table.columns[name] for name in layout.reversed_columns() if table.has(name)}
+    table = replace(table, columns=table.columns | turned)
     warn_of_unused_times(table)
     if layout.trajectory is not None:
         survey = recording_of_table(table, layout, advise).survey()

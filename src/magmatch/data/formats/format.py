@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from magmatch.data.survey_columns import MAY_BE_CONSTANT, constant_of
 from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
@@ -35,7 +36,7 @@ class SurveyFormat(Settings):
     columns: str | None = Field(
         default=None,
         description="A table's columns: by name (x=pos_x,bx=mag_x,...), by number, counted from 1 (t=1,bx=2,...), or "
-        "one constant for all rows (z=0, z=1.20).",
+        "one constant for all rows (z=0, z=1.20). A minus reverses a column (by=-mag_y).",
     )
     rate: float | None = Field(default=None, gt=0, description="Samples per second of a table without times.")
     origin: str | None = Field(
@@ -87,5 +88,15 @@ class SurveyFormat(Settings):
                     f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
                 )
                 raise ConfigurationError(msg)
-            stated[ours] = theirs.lower()
+            stated[ours] = theirs.removeprefix("-").lower() if self._is_reversed(ours, theirs) else theirs.lower()
         return stated
+
+    def reversed_columns(self) -> tuple[str, ...]:
+        """Our names of the columns that `columns` states with a minus."""
+        pairs = [pair.partition("=")[::2] for pair in (self.columns or "").split(",")]
+        return tuple(ours.strip() for ours, theirs in pairs if self._is_reversed(ours.strip(), theirs.strip()))
+
+    @staticmethod
+    def _is_reversed(ours: str, theirs: str) -> bool:
+        """Whether a minus reverses a column: before the number of one that may be constant, it is the constant's."""
+        return theirs.startswith("-") and not (ours in MAY_BE_CONSTANT and constant_of(theirs) is not None)
