@@ -182,5 +182,5 @@ def test_a_failed_recording_leaves_the_old_one(pair, tmp_path, monkeypatch):
 
 def test_a_missing_rerun_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[rerun\]"):
+    with pytest.raises(MissingExtraError, match=r"\.\[rerun\]"):
         require_rerun()

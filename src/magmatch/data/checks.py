@@ -185,7 +185,8 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
         place = ", ".join(told(v, 4, 1.0) for v in survey.centroid[:2])
         yield f"x and y hardly change around {place}: degrees? State them: --columns lat=THEIRS,lon=..."
     elif size > ODD_EXTENT[1]:
-        yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres or centimetres (--length-unit)?"
+        found = f"the positions span {size / 1e3:.3g} km, read as {read_as}"
+        yield f"{found}: millimetres or centimetres (--length-unit)?"
     if words := odd_speed(survey):
         yield words
 

@@ -350,5 +350,5 @@ def test_a_tables_own_poses_are_carried_to_the_sensor_by_its_extrinsic(tmp_path)
     np.testing.assert_allclose(sensor.field, (q * mount).apply(read), rtol=1e-9, atol=1e-18)
     centimetres = read_survey(path, SurveyFormat(extrinsic=numbers, length_unit="cm"))
     np.testing.assert_allclose(centimetres.positions, body.positions / 100 + q.apply([0.1, 0.2, 0.3]), rtol=1e-12)
-    with pytest.raises(DataFormatError, match="which --extrinsic needs"):
+    with pytest.raises(DataFormatError, match="--extrinsic needs orientations"):
         read_survey(write(tmp_path / "plain.csv", PLAIN), SurveyFormat(extrinsic="0 0 1"))
