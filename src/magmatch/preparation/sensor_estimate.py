@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magmatch.arguments import column_of
+from magmatch.data.sensor_axes import find_repeats, stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
 from magmatch.preparation.calibrate_on_map import Calibration, calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
+from magmatch.preparation.disturbances import find_jumps, find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations, recalibration_step
 from magmatch.preparation.sensor_log import SensorLog

@@ -7,6 +7,7 @@ from functools import cache, partial
 import numpy as np
 
 from magmatch.data.checks import time_gaps
+from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
@@ -14,7 +15,6 @@ from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.config import Flagging, PreparationConfig
 from magmatch.preparation.disturbances import (
     find_contradictions,
-    find_repeats,
     find_saturation,
     find_spikes,
     runs,
