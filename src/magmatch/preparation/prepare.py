@@ -74,5 +74,5 @@ def prepare(
         msg = f"{survey.name}: nothing is left after removing disturbances; flag them instead of removing them"
         raise SurveyError(msg)
     left, resampled = resampling_step(corrected if kept.all() else corrected.subset(kept), config)
-    steps = [*estimated.steps(survey, config), *disturbances, resampled, earth_step(left.field, place)]
+    steps = [*estimated.steps(config), *disturbances, resampled, earth_step(left.field, place)]
     return left, report_on(survey, left, steps, estimated.whole_model, config)

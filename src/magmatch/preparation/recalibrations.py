@@ -33,9 +33,14 @@ class Recalibrations:
 
     rows: Indices  # (k,): first reading behind each jump, ascending
     steps: Vectors  # (k, 3), T: what each jump added to the readings, sensor frame
+    refused: str = ""  # why jumps that were found are left as they are, in words
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def withdrawn(self, why: str) -> "Recalibrations":
+        """No cuts, for a reason in words."""
+        return replace(NO_CUTS, refused=f"{len(self)} jumps found, none taken out: {why}")
 
     def piece_of(self, n: int) -> Indices:
         """Number of the piece that each of n readings belongs to."""
@@ -132,7 +137,8 @@ def recalibration_step(found: Recalibrations, log: SensorLog | None, calibration
     if log is None or log.times is None:
         return StepReport("recalibration", "unknown", "needs orientations and times")
     if not len(found):
-        return StepReport("recalibration", "unchanged", "no jump of the sensor's own calibration found")
+        words = found.refused or "no jump of the sensor's own calibration found"
+        return StepReport("recalibration", "unchanged", words)
     jumps = [
         f"at {log.times[row]:.2f} s by {1e6 * np.linalg.norm(step):.3g} uT"
         for row, step in zip(found.rows, found.steps, strict=True)
