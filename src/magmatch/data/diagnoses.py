@@ -168,10 +168,14 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
 
 def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]) -> tuple[str, float] | None:
     """The mistake whose correction scatters least, and as what share of the declared; None if none does."""
-    scatter = _Scatter.of(points)
-    for free_iron in (True,) if _stands_still(*declared) else (False, True):
-        least, name = min((scatter(*turned, free_iron=free_iron), name) for name, turned in undone.items())
+    scatter, stands_still = _Scatter.of(points), _stands_still(*declared)
+    if stands_still:
+        # A constant of the sensor as large as Earth's field explains a field that is turned once too often.
+        undone = {name: turned for name, turned in undone.items() if _stands_still(*turned)}
+    for free_iron in (True,) if stands_still else (False, True):
         as_declared = scatter(*declared, free_iron=free_iron)
+        tried = ((scatter(*turned, free_iron=free_iron), name) for name, turned in undone.items())
+        least, name = min(tried, default=(as_declared, ""))
         if least < LESS * as_declared:
             return name, least / as_declared
     return None

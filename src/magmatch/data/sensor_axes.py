@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Axes of a sensor that say nothing: stuck at one value, or at the end of their range.
 
-Both are values that come back exactly, so they are looked for in the sensor's own axes: in those of the survey no value
-comes back once the sensor turns. Readings that were turned there and back differ by rounding; `Levels` counts those as
-one value.
+Both are values that come back exactly, so they are looked for in the sensor's own axes: in those of the survey no
+value comes back once the sensor turns. Readings that were turned there and back differ by rounding; `Levels` counts
+those as one value.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,8 @@ FEWEST_AT_LIMIT, FEWEST_LEVELS = 5, 8
 # An axis is stuck where more than half of its readings are one value, and the values beside that have no more than a
 # quarter of these together: of a quiet axis in coarse digits they have more.
 MOSTLY, BESIDE = 0.5, 0.25
+# An axis that shows less than this share of what turns make of the mean field has no gain worth the name.
+LEAST_GAIN = 0.1
 # Share of readings at a limit that is worth a warning: fewer cut off no more than noise does.
 WORTH_SAYING = 0.01
 
@@ -62,9 +64,9 @@ def find_repeats(readings: Vectors) -> Mask:
 
 
 def at_limit(readings: Vectors) -> Mask:
-    """Which components are at the end of the sensor's range: (n, 3). More at one largest value than at the next three.
+    """Which components are at the end of the sensor's range: (n, 3).
 
-    Noise thins out toward the end of its values; a limit piles them up there.
+    More are at one largest value than at the next three: noise thins out toward the end, a limit piles values up.
     """
     is_limited = np.zeros(readings.shape, dtype=bool)
     for axis, levels in enumerate(Levels.of(readings)):
@@ -77,14 +79,29 @@ def at_limit(readings: Vectors) -> Mask:
 
 
 def stuck_axes(survey: Survey) -> list[str]:
-    """In words, the axes that read one value in most samples; then the others of their readings are no field either."""
-    found = []
-    for name, levels in zip(_names(survey), Levels.of(sensor_readings(survey)), strict=True):
+    """In words, the axes that read one value in most samples, or hardly follow the sensor's turns."""
+    names, readings = _names(survey), sensor_readings(survey)
+    stuck = {k: f"reads {field_text(v)} in {_share(mask)}" for k, (v, mask) in find_stuck(readings).items()}
+    if survey.orientations is not None:
+        turned = survey.orientations.apply(survey.field.mean(axis=0), inverse=True)
+        varies, expected = (np.ptp(np.quantile(b, [0.1, 0.9], axis=0), axis=0) for b in (readings, turned))
+        # Of all three, it is the orientations that are wrong.
+        if not (is_dead := varies < LEAST_GAIN * expected).all():
+            sizes = [tuple(field_text(float(v)) for v in pair) for pair in zip(varies, expected, strict=True)]
+            words = "hardly follows the sensor's turns (varies by {}, expected {})"
+            stuck = {k: words.format(*sizes[k]) for k in np.flatnonzero(is_dead).tolist()} | stuck
+    return [f"{names[k]} {words}" for k, words in sorted(stuck.items())]
+
+
+def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
+    """Of each axis that is stuck the value (T), and which readings (n, 3) are at it."""
+    found = {}
+    for axis, levels in enumerate(Levels.of(readings)):
         most = int(levels.counts.argmax())
         count = levels.counts[most]
         beside = levels.counts[max(most - 1, 0) : most + 2].sum() - count
         if count > MOSTLY * levels.counts.sum() and beside <= BESIDE * count:
-            found.append(f"{name} reads {field_text(float(levels.values[most]))} in {_share(levels.number == most)}")
+            found[axis] = float(levels.values[most]) + 0.0, levels.number == most
     return found
 
 

@@ -10,12 +10,12 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
-from magmatch.preparation.consistency import MapConsistency, held_out_error
+from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
 from magmatch.preparation.least_squares import Block, Solution, System, student_weights
 from magmatch.preparation.plausible import why_no_sensor
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.time_offset import LENGTHSCALE_IN_SPACINGS, coarse_settings, search_time_offset
+from magmatch.preparation.time_offset import coarse_settings, search_time_offset
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask, Scalars, Vectors
@@ -78,10 +78,12 @@ def calibrate(
     offset, rough = search_time_offset(part, largest, sizes)
     start = replace(model_of(rough.estimate, {}), time_offset=offset)
     estimator = _Estimator(part, values, sizes, coarse_settings(part.positions), largest)
-    tell("calibrating against a map of the place")
+    tell("calibrating against a coarse map of the place")
     # A coarse map takes most of the way, so that the settings of a fine one are chosen once.
     start, _ = estimator.refined(start, set(switches))
+    tell("choosing the settings of a fine map")
     estimator.choose_settings(start)
+    tell("calibrating against a fine map of the place")
     model, system = estimator.refined(start, set(switches))
     full = system.solve(switches)
     active, chosen, beyond = set(switches), full, None
@@ -114,13 +116,13 @@ def _rms(residual: Vectors) -> float:
 
 
 def _held_to_account(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> Calibration:
-    """The calibration with its errors on held-out stretches; withdrawn if no sensor has them or a map predicts worse with them."""
+    """The calibration with a map's errors on held-out stretches; withdrawn if they grow or no sensor is like that."""
     errors, spreads = [], []
     for model in (SensorModel(), calibration.model):
         positions, orientations = part.at(model.time_offset)
         readings = model.corrected(part.readings, channels)
         errors.append(held_out_error(positions, orientations.apply(readings), calibration.hyperparameters))
-        # In the sensor's frame no constant counts: what is left is the field that the sensor was turned in and moved to.
+        # In the sensor's frame no constant counts: what is left is the field, in which the sensor turned and moved.
         spreads.append(float(np.sqrt(readings.var(axis=0).sum())))
     why = why_no_sensor(calibration.model)
     # Errors count relative to what varies: without a field there would be none.
@@ -194,9 +196,7 @@ class _Estimator:
         """Settings of a map of the field as corrected so far, which forgets what a coarser one disagreed with."""
         positions, orientations = self.part.at(model.time_offset)
         field = orientations.apply(model.corrected(self.part.readings, self.channels))
-        h = choose_spline_hyperparameters(positions, field)
-        # Closer splines are for maps: they cost most of the time and change estimates by less than their errors.
-        h = replace(h, spacing=max(h.spacing, h.lengthscale / LENGTHSCALE_IN_SPACINGS))
+        h = affordable(positions, choose_spline_hyperparameters(positions, field))
         self.hyperparameters, self.weights = h, np.ones(len(field))
 
     def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The last look at a correction: whether it leaves a field that the readings can be of. If not, nothing is written.
 
-What a sensor adds turns with it, so it makes the field and its magnitude vary with the attitude. A right correction takes
-that off: neither varies more along the path than as read. Magnitudes need no attitude, so that poses that are wrong cannot
+What a sensor adds turns with it, so it makes the field and its magnitude vary with the attitude. A right correction
+takes that off: neither varies more along the path than as read. Magnitudes need no attitude, so wrong poses cannot
 make a wrong correction look right. What is allowed beyond is what soft iron may be at most.
 """
 
@@ -31,12 +31,14 @@ def why_no_sensor(model: SensorModel) -> str:
     turn = float(np.linalg.norm(model.misalignment))
     if turn > MOST_TURN:
         most = f"{np.degrees(MOST_TURN):.0f} deg"
-        return f"a misalignment of {np.degrees(turn):.0f} deg is more than the {most} that can be told: state the axes"
+        return (
+            f"a misalignment of {np.degrees(turn):.0f} deg is more than the {most} that can be told: state the axes"
+        )
     return ""
 
 
 def why_no_field(as_read: Vectors, corrected: Vectors) -> str:
-    """In words, why a corrected field (n, 3) is none that the readings can be of, both T, survey frame; else nothing."""
+    """In words, why a corrected field is none that the readings can be of, (n, 3), T, survey frame; else nothing."""
     read, left = np.linalg.norm(as_read, axis=1), np.linalg.norm(corrected, axis=1)
     median = float(np.median(read)), float(np.median(left))
     low, high = ORDINARY_FIELD
@@ -47,5 +49,7 @@ def why_no_field(as_read: Vectors, corrected: Vectors) -> str:
     for name, (before, after) in spreads.items():
         if after > np.hypot((1 + MOST_SOFT_IRON) * before, NOISE * median[0]):
             spread = f"from {field_text(float(before))} to {field_text(float(after))}"
-            return f"{name} would vary more along the path, {spread}: errors of a sensor make it vary, not their removal"
+            return (
+                f"{name} would vary more along the path, {spread}: errors of a sensor make it vary, not their removal"
+            )
     return ""

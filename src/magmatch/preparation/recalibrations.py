@@ -69,8 +69,8 @@ NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 def find_recalibrations(log: SensorLog) -> Recalibrations:
     """Jumps that stand out from all changes around them and last; none in a log without times.
 
-    They must be the field's alone: where the carrier jumps or turns at once as well, the field may, too. A jump that a
-    turn about the vertical explains is one that the poses show late, early or never.
+    They must be the field's alone: where the carrier jumps or turns at once as well, the field may, too. A jump that
+    a turn about the vertical explains is a turn that the poses show late, early or never.
     """
     field = log.orientations.apply(log.readings)
     # A reading that is held says nothing of how the field changes, whether it is turned with the carrier or not.
@@ -96,7 +96,9 @@ def find_recalibrations(log: SensorLog) -> Recalibrations:
     candidates = [(row, _step(log, row)) for row in (np.flatnonzero(is_jump) + 1).tolist()]
     lasting = [(row, step) for row, step in candidates if np.linalg.norm(step) > LASTING * change[row - 1]]
     most = np.maximum(SMALLEST, TIMES_LARGER * beside)
-    lasting = [(r, step) for r, step in lasting if not _is_turn(field, r, log.orientations[r].apply(step), most[r - 1])]
+    lasting = [
+        (r, step) for r, step in lasting if not _is_turn(field, r, log.orientations[r].apply(step), most[r - 1])
+    ]
     largest = sorted(sorted(lasting, key=lambda found: -float(np.linalg.norm(found[1])))[:MOST], key=lambda f: f[0])
     rows = np.array([row for row, _ in largest], dtype=np.int64)
     return Recalibrations(rows, np.array([step for _, step in largest]).reshape(-1, 3))

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magmatch.arguments import column_of
 from magmatch.data.sensor_axes import find_repeats, stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
@@ -21,6 +20,9 @@ from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_re
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.typing import Indices, Mask, Scalars, Vectors
+
+# m and rad: the jitter of poses at rest. A carrier that moves or turns by less shows no error of its sensor or clock.
+STILL, UNTURNED = 0.05, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,9 +71,6 @@ def estimate_sensor(
     config: PreparationConfig,
 ) -> SensorEstimate:
     """Take off what is known, join what the phone recalibrated, and calibrate what is left."""
-    channels = {
-        name: column_of(values, f"channel {name}", "any unit", len(survey)) for name, values in channels.items()
-    }
     if survey.orientations is None:
         if known is not None:
             msg = f"{survey.name}: a known correction of the sensor needs orientations to be made"
@@ -88,7 +87,9 @@ def estimate_sensor(
         cuts, joined = cuts.withdrawn(why), sensor_log
     every, is_good = _with_pieces(channels, cuts, len(joined)), trusted(joined, config)
     calibration = calibrate(joined, config, every, is_good)
-    why_not = f"too few samples to tell: {is_good.sum()} of {len(survey)} are not held, at the end of the range or spikes"
+    why_not = (
+        f"too few samples to tell: {is_good.sum()} of {len(survey)} are not held, at the end of the range or spikes"
+    )
     estimate = SensorEstimate(known, joined, cuts, calibration, channels, why_not)
     if calibration is None:
         return estimate
@@ -102,6 +103,12 @@ def _why_no_estimate(survey: Survey) -> str:
     """In words, what makes every estimate of a sensor's errors meaningless; nothing if nothing does."""
     if stuck := stuck_axes(survey):
         return "; ".join(stuck)
+    assert survey.orientations is not None  # or nothing is estimated in any case
+    moved = np.ptp(np.quantile(survey.positions, [0.01, 0.99], axis=0), axis=0).max()
+    turned = np.quantile((survey.orientations[len(survey) // 2].inv() * survey.orientations).magnitude(), 0.99)
+    if moved < STILL and turned < UNTURNED:
+        most = f"within {100 * STILL:.0f} cm and {np.degrees(UNTURNED):.0f} deg"
+        return f"the sensor does not move ({most}): nothing tells its errors from the field of the place"
     return ""
 
 

@@ -50,7 +50,7 @@ def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
 
 
 def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:
-    """Bias of the magnetometer in its own axes, and its sd, T; zero where orientations are missing or an axis is stuck."""
+    """Bias of the magnetometer in its own axes, and its sd, T; zero without orientations or with an axis stuck."""
     if survey.orientations is None or stuck_axes(survey):
         return np.zeros(3), np.zeros(3)
     turned = _headings_alone(survey.orientations) if config.is_gravity_aligned else survey.orientations
