@@ -80,7 +80,7 @@ def estimate_sensor(
     if known is not None:
         sensor_log = replace(sensor_log, readings=known.corrected(sensor_log.readings))
     if why_not := _why_no_estimate(survey):
-        return SensorEstimate(known, sensor_log, NO_CUTS, None, channels, why_not)
+        return SensorEstimate(known, sensor_log, replace(NO_CUTS, refused=why_not), None, channels, why_not)
     cuts = find_recalibrations(sensor_log) if config.recalibration == "auto" else NO_CUTS
     joined = cuts.joined(sensor_log) if len(cuts) else sensor_log
     if why := why_no_field(*(log.orientations.apply(log.readings) for log in (sensor_log, joined))):
