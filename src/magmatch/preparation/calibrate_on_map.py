@@ -73,17 +73,13 @@ def calibrate(
         return None
     rows = rows[:: -(-len(rows) // config.n_samples)]
     part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
-    tell("looking for the offset between the clocks")
     sizes = sizes_of(config, switches)
-    offset, rough = search_time_offset(part, largest, sizes)
-    start = replace(model_of(rough.estimate, {}), time_offset=offset)
+    start = _rough_model(part, largest, sizes)
     estimator = _Estimator(part, values, sizes, coarse_settings(part.positions), largest)
     tell("calibrating against a coarse map of the place")
     # A coarse map takes most of the way, so that the settings of a fine one are chosen once.
     start, _ = estimator.refined(start, set(switches))
-    tell("choosing the settings of a fine map")
     estimator.choose_settings(start)
-    tell("calibrating against a fine map of the place")
     model, system = estimator.refined(start, set(switches))
     full = system.solve(switches)
     active, chosen, beyond = set(switches), full, None
@@ -109,6 +105,13 @@ def calibrate(
         beyond=beyond,
     )
     return _held_to_account(calibration, part, values)
+
+
+def _rough_model(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
+    """Where the estimate begins."""
+    tell("looking for the offset between the clocks")
+    offset, rough = search_time_offset(part, largest, sizes)
+    return replace(model_of(rough.estimate, {}), time_offset=offset)
 
 
 def _rms(residual: Vectors) -> float:
@@ -194,10 +197,12 @@ class _Estimator:
 
     def choose_settings(self, model: SensorModel) -> None:
         """Settings of a map of the field as corrected so far, which forgets what a coarser one disagreed with."""
+        tell("choosing the settings of a fine map")
         positions, orientations = self.part.at(model.time_offset)
         field = orientations.apply(model.corrected(self.part.readings, self.channels))
         h = affordable(positions, choose_spline_hyperparameters(positions, field))
         self.hyperparameters, self.weights = h, np.ones(len(field))
+        tell("calibrating against a fine map of the place")
 
     def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
         """What was kept and one more channel at a time, so that channels change no other estimate."""
