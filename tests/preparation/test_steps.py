@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
-from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation, runs
+from magmatch.preparation.disturbances import find_jumps, find_saturation, runs
 from magmatch.preparation.earth_field import Place, earth_field, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.resampling import resample_by_distance, steps_of

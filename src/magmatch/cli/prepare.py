@@ -37,7 +37,9 @@ def prepare(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="YAML file: recalibration, time_offset, calibration, currents, disturbances, resampling."),
+        typer.Option(
+            help="YAML file: thin, recalibration, time_offset, calibration, currents, disturbances, resampling."
+        ),
     ] = None,
     sensor_from: Annotated[
         Path | None,
@@ -49,6 +51,12 @@ def prepare(
     ] = None,
     place: Annotated[
         str | None, typer.Option(help="LAT,LON,HEIGHT in degrees and metres: compare with the Earth's field there.")
+    ] = None,
+    thin: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6, metavar="METRES", help="Take one sample each METRES of the way: for logs of high rates."
+        ),
     ] = None,
     date: Annotated[str | None, typer.Option(help="Day of the survey, YYYY-MM-DD; goes with --place.")] = None,
 ) -> None:
@@ -68,6 +76,7 @@ def prepare(
     check_outputs((out, report), inputs=(log, config, sensor_from, layout.trajectory))
     where = parse_place(place, date)
     settings = merged(PreparationConfig(), config, "preparation")
+    settings = settings if thin is None else settings.model_copy(update={"thin": thin})
     survey, channels = read_survey_and_channels(log, layout)
     trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)

@@ -9,6 +9,7 @@ import numpy as np
 from magmatch.arguments import expect_kind
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.sensor_axes import doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import GLOBAL_FRAME
 from magmatch.data.units import (
@@ -170,6 +171,8 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
 def _doubt_field(survey: Survey) -> Iterator[str]:
     if words := constant_field(survey):
         yield words
+    else:
+        yield from doubt_axes(survey)
     magnitude, (low, high) = np.linalg.norm(survey.field, axis=1), MEDIAN_FIELD
     for n, side, bound in (((magnitude < low).sum(), "below", low), ((magnitude > high).sum(), "above", high)):
         if n:
@@ -240,7 +243,8 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
     if n_still > 0.05 * n:
         share = f"{100 * n_still / n:.0f} %"
         yield f"{share} of the samples repeat the position before them: at rest, or a pose rate below the field's?"
-    n_stuck = int((np.diff(survey.field, axis=0) == 0).all(axis=1).sum())
+    # Of a sensor that turns, readings that are held are turned with it.
+    n_stuck = int((find_repeats(survey.field) | find_repeats(sensor_readings(survey))).sum())
     if 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
 
