@@ -76,5 +76,6 @@ def test_on_a_line_nothing_is_known_beyond_the_reach_of_its_samples():
     survey = Survey(x, field + np.random.default_rng(1).normal(scale=3e-7, size=x.shape))
     for prior in PRIORS:
         built = build_map(survey, FieldConfig(prior=prior))
-        assert not built.knows(x + [0, 2.5 * built.hyperparameters.lengthscale, 0]).any(), prior
+        beside = np.array([0, 2.5 * built.hyperparameters.lengthscale, 0])
+        assert not built.knows(x + beside).any(), prior
         assert excess(built, survey) == "", prior
