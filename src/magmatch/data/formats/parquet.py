@@ -34,9 +34,10 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         stated = layout.column_names()
         require_stated(path, names, stated)
         known = wanted_columns(stated)
-        wanted = {name: known[name.lower()] for name in names if name.lower() in known}
-        if len(set(wanted.values())) < len(wanted):
-            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
+        listed = [name for name in names if name.lower() in known]
+        wanted = {name: known[name.lower()] for name in listed}
+        if len(set(wanted.values())) < len(listed):
+            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(listed))}")
         for name in wanted:
             _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
         found = _columns(Path(path), file, list(wanted), pa)
