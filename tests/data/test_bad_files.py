@@ -91,6 +91,7 @@ TABLE_CASES = {
         ["half a quaternion", "found qx, qy", "missing qz, qw"],
     ),
     "zero quaternion": (turned("0,0,0,0"), ["line 6", "zero quaternion"]),
+    "huge quaternion": (turned("0,0,0,1e200"), ["line 6", "one of length inf"]),
     "long quaternion": (turned("1,2,3,4"), ["line 6", "unit quaternion", "5.477"]),
     "nan quaternion": (turned("0,0,nan,1"), ["line 6", "column 'qz'"]),
     "time repeats": (timed([*TIMES[:5], TIMES[4], *TIMES[6:]]), ["line 7", "column 't'", "time repeats", "0.4"]),

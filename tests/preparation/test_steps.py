@@ -127,6 +127,20 @@ def test_a_step_begins_where_the_last_one_is_as_far_away_as_it_is_long():
     assert steps_of(x, 0.5).tolist() == [0, 0, 1, 1, 2, 2]
 
 
+@pytest.mark.parametrize("latitude", [90, -90])
+def test_earth_field_at_a_pole_is_that_beside_it(latitude):
+    pytest.importorskip("ppigrf")
+    at, beside = (earth_field(Place(part * latitude, 30, 0, date(2024, 5, 1))) for part in (1, 1 - 1e-6))
+    np.testing.assert_allclose(at, beside, atol=1e-9)
+
+
+def test_readings_that_cancel_are_flagged_without_a_warning():
+    pytest.importorskip("ppigrf")
+    check = earth_step(np.zeros((20, 3)), MUNICH)
+    assert check.outcome == "flagged"
+    assert "hard iron" in check.words
+
+
 def test_earth_field_is_that_of_the_model():
     pytest.importorskip("ppigrf")
     # The IGRF-13/14 calculators of the agencies give 48.6 uT and 64 deg for Munich in 2024.

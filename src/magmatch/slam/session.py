@@ -28,6 +28,7 @@ from magmatch.settings import Settings
 from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, of_logs, read_anchors
+from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -299,7 +300,14 @@ class Session:
         return SlamResult(
             status,
             explain(
-                status, groups, len(ties), len(closures) - len(ties), len(anchors), self._bent(), self._guessed()
+                status,
+                groups,
+                len(ties),
+                len(closures) - len(ties),
+                len(anchors),
+                self._bent(),
+                self._guessed(),
+                [names[k] for k in np.flatnonzero(strains(self.graph) > MOST_BENT)],
             ),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),

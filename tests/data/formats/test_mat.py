@@ -141,6 +141,15 @@ def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path):
         read_survey(tmp_path / "walk.mat", SurveyFormat(field_unit="uT"))
 
 
+def test_an_array_without_a_shape_is_named_as_empty(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "walk.mat", "w") as file:
+        for name, values in PLAIN.items():
+            file[name] = h5py.Empty("f8") if name == "bx" else values
+    with pytest.raises(DataFormatError, match="column 'bx': expected an array of numbers, found an empty one"):
+        read_survey(tmp_path / "walk.mat", SurveyFormat(field_unit="uT"))
+
+
 def test_without_h5py_the_extra_is_named(tmp_path, monkeypatch):
     path = v73(tmp_path / "walk.mat", PLAIN)
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)

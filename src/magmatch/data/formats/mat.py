@@ -152,6 +152,8 @@ def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
             return found
         if found.external or found.is_virtual:
             raise DataFormatError(path, "the array lies in other files; expected one file", column=key)
+        if found.shape is None:
+            raise DataFormatError(path, "expected an array of numbers, found an empty one", column=key)
         _bound_array(path, key, found.size * found.dtype.itemsize // 8 if found.size else 0)
         return np.asarray(found).T
 
