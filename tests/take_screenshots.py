@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Take the pictures of README.md and docs/viewing.md anew: reports and the viewer, in a headless Chromium.
+"""Take the pictures of README.md and docs/viewing.md anew: reports, in a headless Chromium.
 
 Run: make screenshots
 """
@@ -14,8 +14,6 @@ from magmatch.cli.main import main as magmatch
 from magmatch.field.map import FieldMap
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.pages.registration_page import write_report
-from magmatch.viz.viewers.exhibit import exhibit
-from magmatch.viz.viewers.live_viewer import address_of, serve
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SCENARIO, SEED = "office-overlap", "4"
@@ -36,7 +34,6 @@ FRONT_FIGURES = """
 # Scenes are drawn in software, which takes a moment longer than the page says.
 SETTLING = 3.0
 CLIPPED = "main > section:nth-of-type({})"
-NOTICE = "document.querySelectorAll('.mantine-Notification-root').forEach(n => n.remove())"
 
 
 def main() -> None:
@@ -51,7 +48,6 @@ def main() -> None:
         on_a_desk(browser, folder / "r.html")
         on_a_phone(browser, folder / "r.html")
         of_a_map(browser, folder / "map.html")
-        of_the_viewer(browser, base, target, result)
 
 
 def registered(folder: Path, scenario: str, seed: str) -> tuple[FieldMap, FieldMap, RegistrationResult]:
@@ -97,16 +93,6 @@ def of_a_map(browser: Browser, page: Path) -> None:
     """A map's report."""
     open_page(browser, page, 1100, 1000)
     take(browser, "map-report", clip=None)
-
-
-def of_the_viewer(browser: Browser, base: FieldMap, target: FieldMap, result: RegistrationResult) -> None:
-    """The live viewer."""
-    with serve(exhibit([base, target], result), port=18_900) as server:
-        browser.open(address_of(server), 1200, 760)
-        sleep(12 * SETTLING / 3)
-        browser.evaluate(NOTICE)  # it says that there is no graphics card
-        sleep(1)
-        take(browser, "viewer", clip=None)
 
 
 def open_page(browser: Browser, page: Path, width: int, height: int) -> None:

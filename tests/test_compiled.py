@@ -2,6 +2,7 @@
 """What keeps the first answer on a machine from waiting for the compiler."""
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,68 @@ for loop in loops:
 """
 # Says on stderr what the command line says, where nothing is in the cache.
 REGISTER = "import sys; from magmatch.cli.main import main; sys.exit(main(sys.argv[1:]))"
+
+
+# Compiles a loop twice, as two runs would, with what the first argument does to numba's cache in between.
+COMPILE = """
+import logging, sys
+from numba.core import caching
+logging.basicConfig(level=0, format="%(message)s", stream=sys.stdout)
+logging.getLogger("numba").setLevel(logging.WARNING)
+
+def nowhere(*_):
+    raise OSError(30, "Read-only file system")
+
+{before}
+from magmatch import compiled
+
+def double(x):
+    return 2 * x
+
+double.__module__ = "magmatch.double"
+for _ in range(2):
+    loop = compiled.compiled(double)
+    assert loop(21) == 42
+    {between}
+"""
+OBSTACLES = {
+    "no folder can be written": (
+        "caching._SourceFileBackedLocatorMixin.ensure_cache_path = caching._CacheLocator.ensure_cache_path = nowhere",
+        "pass",
+        "in every run, since neither the package's folder nor the user's cache can be written; NUMBA_CACHE_DIR names",
+    ),
+    "the disk is full": (
+        "caching.IndexDataCacheFile._save_data = nowhere",
+        "pass",
+        "cannot be written ([Errno 30] Read-only file system); NUMBA_CACHE_DIR names",
+    ),
+    "what is kept is damaged": (
+        "",
+        "[p.write_bytes(b'?') for p in __import__('pathlib').Path(loop._cache.cache_path).glob('*.nbi')]",
+        "once per kind of task",
+    ),
+    "what is kept is of another": (
+        "",
+        "caching.IndexDataCacheFile._load_index = nowhere",
+        "are not kept",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OBSTACLES)
+def test_loops_that_cannot_be_kept_are_compiled_each_time_with_one_word(case, tmp_path):
+    before, between, said = OBSTACLES[case]
+    (tmp_path / "run.py").write_text(COMPILE.format(before=before, between=between))
+    place = {} if before.startswith("caching._Source") else {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    source = os.pathsep.join([str(SOURCE.parent), os.environ.get("PYTHONPATH", "")])
+    plain = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, tmp_path / "run.py"], capture_output=True, text=True, check=False,
+        env=plain | {"PYTHONPATH": source} | place,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert said in done.stdout
+    assert done.stdout.count("NUMBA_CACHE_DIR") == ("once" not in said)
 
 
 def loops():

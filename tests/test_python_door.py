@@ -372,7 +372,7 @@ def test_map_becomes_a_dataset_that_can_be_a_survey(cut, field_map):
 
 def test_dataset_without_xarray_names_the_extra(field_map, monkeypatch):
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(mm.MissingExtraError, match=r"xarray.*'magmatch\[grid\]'"):
+    with pytest.raises(mm.MissingExtraError, match=r"xarray.*pip install '\.\[grid\]'"):
         field_map.to_xarray()
 
 

@@ -8,6 +8,7 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.number_text import told
 from magmatch.typing import Points, Scalars
 
 _KINDS = {
@@ -18,6 +19,7 @@ _KINDS = {
     **dict.fromkeys("STU", "text"),
 }
 _TO_NUMBERS = "turn it into numbers first (pandas: to_numeric, of times to_datetime)"
+_COMMAS = "turn it into numbers first (pandas: read_csv with decimal=',' or with thousands=',')"
 _ADVICE = {
     **dict.fromkeys("STU", _TO_NUMBERS),
     "c": "take the real part",
@@ -52,7 +54,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
         if hasattr(values, "positions"):
             advice = "give its .positions"
         elif text is not None and array.dtype == object:
-            kind, advice = f"text such as {found(text)}", _TO_NUMBERS
+            kind, advice = f"text such as {found(text)}", _COMMAS if "," in text else _TO_NUMBERS
         _refuse(name, expected, kind, advice)
     with np.errstate(over="ignore"):
         return np.asarray(array, dtype=np.float64)
@@ -161,7 +163,7 @@ def require_increasing(times: Scalars, thing: str = "sample") -> None:
     if len(wrong):
         i = int(wrong[0]) + 1
         kind = "repeats" if times[i] == times[i - 1] else "runs backward"
-        order = f"{times[i]:.9g} after {times[i - 1]:.9g} s"
+        order = f"{told(times[i])} after {told(times[i - 1])} s"
         msg = f"time {kind} at {thing} {i}: {order}; expected strictly increasing times"
         raise ValueError(msg)
 

@@ -12,7 +12,9 @@ import logging
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib import import_module
+from time import perf_counter
 from typing import Any
 
 from numba import njit, types
@@ -21,11 +23,68 @@ from numba.core import event, sigutils
 log = logging.getLogger(__name__)
 # Above information and below a warning: to be told at once.
 NOTICE = 25
+# s between words about compiling where nothing else shows that the program is alive, as in a log file.
+PATIENCE = 15.0
+ELSEWHERE = "; NUMBA_CACHE_DIR names another folder to keep them"
 
-# The numpy error model: a division by 0 gives infinity, and nothing can be raised.
-compiled = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)  # type: ignore[call-overload]
-# Becomes part of the loop that calls it before that is compiled, so that counts known there are known here.
-inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+
+class Keeping:
+    """Loops are kept for later runs where some folder can be written; without one they are compiled each time.
+
+    Attributes
+    ----------
+    obstacle : str
+        Why loops cannot be kept; empty as long as they can.
+    """
+
+    def __init__(self) -> None:
+        self.obstacle = ""
+
+    def __call__(self, loop: Any) -> Any:
+        """Have a loop kept."""
+        if not hasattr(loop, "enable_caching"):  # numba is told to compile nothing
+            return loop
+        try:
+            loop.enable_caching()
+        except RuntimeError:  # numba's word for no folder that it can write
+            self.obstacle = "neither the package's folder nor the user's cache can be written"
+            return loop
+        cache = loop._cache
+        load, save = cache.load_overload, cache.save_overload
+
+        def loaded(*of: Any) -> Any:
+            try:
+                return load(*of)
+            except Exception:  # whatever damaged or foreign files make of unpickling
+                with suppress(Exception):
+                    cache.flush()
+                return None
+
+        def saved(*what: Any) -> None:
+            try:
+                save(*what)
+            except Exception as error:  # a full disk, or the same files
+                if not self.obstacle:
+                    self.obstacle = f"{cache.cache_path} cannot be written ({error})"
+                    log.log(NOTICE, "Compiled loops are not kept: %s%s", self.obstacle, ELSEWHERE)
+
+        cache.load_overload, cache.save_overload = loaded, saved
+        return loop
+
+
+KEEPING = Keeping()
+
+
+def compiled(function: Any) -> Any:
+    """Compile a loop at its first call; the numpy error model: division by 0 is infinity, nothing can be raised."""
+    return KEEPING(njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function))  # type: ignore[call-overload]
+
+
+def inlined(function: Any) -> Any:
+    """Make a loop part of the one that calls it before that is compiled: counts known there are known here."""
+    return KEEPING(njit(nogil=True, error_model="numpy", inline="always")(function))
+
+
 _known: list[tuple[Any, tuple[types.Type, ...]]] = []
 
 
@@ -89,7 +148,7 @@ class NoCollection(event.Listener):
 
 
 class FirstUse(event.Listener):
-    """What happens at the first loop that is not in the cache: a word why it takes longer, and help.
+    """What happens at loops that are not in the cache: a word why it takes longer, progress, and at the first, help.
 
     Attributes
     ----------
@@ -99,23 +158,34 @@ class FirstUse(event.Listener):
 
     def __init__(self) -> None:
         self.next_module: str | None = None
-        self._is_over = False
+        self._n_loops = 0
+        self._began = self._said = 0.0
 
     def on_start(self, event: event.Event) -> None:
         """Hear of a compilation."""
-        if self._is_over or not _is_ours(event):
+        if not _is_ours(event):
             return
-        self._is_over = True
-        log.log(
-            NOTICE,
-            "Compiling numerical loops: once per kind of task after installation or upgrade, for several seconds",
-        )
-        if self.next_module is not None:
+        self._n_loops += 1
+        if self._n_loops > 1:
+            self._tell_progress()
+            return
+        self._began = self._said = perf_counter()
+        how_often = "once per kind of task after installation or upgrade: a minute on two cores"
+        if KEEPING.obstacle:
+            how_often = f"in every run, since {KEEPING.obstacle}{ELSEWHERE}"
+        log.log(NOTICE, "Compiling numerical loops, %s", how_often)
+        if self.next_module is not None and not KEEPING.obstacle:
             words = f"from magmatch.compiled import compile_known; compile_known({self.next_module!r})"
             silent = subprocess.DEVNULL
             helper = subprocess.Popen([sys.executable, "-c", words], stdin=silent, stdout=silent, stderr=silent)
             # The cache is written file by file: what is not ready then is compiled when it is needed.
             atexit.register(_end, helper)
+
+    def _tell_progress(self) -> None:
+        now = perf_counter()
+        level = NOTICE if now - self._said > PATIENCE else logging.INFO
+        log.log(level, "Compiling: loop %d, %.0f s since the first", self._n_loops, now - self._began)
+        self._said = now if level == NOTICE else self._said
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to do."""

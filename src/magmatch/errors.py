@@ -64,7 +64,7 @@ class MissingExtraError(MagmatchError, ImportError):
     """An optional dependency is not installed; names the extra that brings it."""
 
     def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs the extra '{extra}': pip install 'magmatch[{extra}]'")
+        super().__init__(f"{feature} needs the extra '{extra}': pip install '.[{extra}]' (in a checkout of magmatch)")
 
 
 def import_extra(module: str, feature: str, extra: str) -> ModuleType:

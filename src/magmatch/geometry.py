@@ -9,11 +9,14 @@ from functools import reduce
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.typing import Matrix, Points, Scalars, Tensors, ThirdOrder, Vector3, Vectors
+from magmatch.typing import Covariance6, Matrix, Points, Scalars, Tensors, ThirdOrder, Vector3, Vectors
 
 # Largest entry of R R^T - I: what a file may hold, and what products of transforms accumulate by rounding.
 ORTHONORMAL_TOLERANCE = 1e-9
 ORTHONORMAL_TO_ROUNDING = 1e-12
+# m: farther from their origin, coordinates lose digits that show. Up to here single precision, in which pictures are
+# drawn, keeps 0.1 mm, and a covariance about the origin keeps half the digits of one about the samples.
+FAR = 1e3
 # Steps that are looked at together; of every eighth of their samples jitter leaves an eighth of its path, steps at
 # random a third, and a path all of it.
 STOOD, EIGHTH, STANDS = 128, 8, 0.2
@@ -192,6 +195,27 @@ def adjoint(T: RigidTransform) -> Matrix:
     M[:3, :3] = M[3:, 3:] = R
     M[3:, :3] = skew(np.asarray(T.translation)[None])[0] @ R
     return M
+
+
+def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
+    """A covariance of xi about a frame's origin as one about a point of the frame, same axes."""
+    if not np.any(point):
+        return covariance
+    M = adjoint(RigidTransform.from_translation(-point))
+    moved = np.asarray(M @ covariance @ M.T)
+    # About an origin at 5,000 km, a turn by 0.1 deg is a shift of km: what that rounds off may be all that is left.
+    rounding, lowest = np.finfo(float).eps * np.trace(covariance[3:, 3:]), np.linalg.eigvalsh(moved)[0]
+    if lowest < rounding:
+        moved = (moved + moved.T) / 2 + np.diag([0.0] * 3 + [rounding - lowest] * 3)
+    return moved
+
+
+def near_origin(points: Points, step: float) -> Vector3:
+    """A point to take off coordinates, in whole steps (m): zero where all lie within `FAR` of the origin."""
+    if not len(points) or np.abs(points).max() <= FAR:
+        return np.zeros(3)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return np.asarray(step * np.trunc(middle / step))
 
 
 def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:

@@ -278,7 +278,7 @@ def test_demo_works_without_the_report(place, run, tmp_path, monkeypatch):
     outcome = run("demo", "--out", tmp_path / "demo")
     assert outcome.code == 0
     assert "No report: " in outcome.err
-    assert "magmatch[viz]" in outcome.err
+    assert "pip install '.[viz]'" in outcome.err
     assert [path.name for path in (tmp_path / "demo").iterdir()] == ["result.json"]
 
 

@@ -84,7 +84,7 @@ def test_odometry_then_prepare_makes_a_survey(export, tmp_path, run):
 def test_slam_takes_a_raw_log_as_with_poses_by_odometry(export, tmp_path, run):
     pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     raw = run("slam", export, "--out", tmp_path / "raw")
-    assert "Dead reckoning: " in raw.err
+    assert "Dead reckoning of " in raw.err
     run("odometry", export, "--out", tmp_path / "walk.tum")
     posed = run("slam", export, "--trajectory", tmp_path / "walk.tum", "--out", tmp_path / "posed")
     assert raw.code == posed.code
@@ -241,3 +241,18 @@ def test_the_log_is_never_written_over(export, run):
     before = export.read_bytes()
     assert run("odometry", export, "--out", export).code == 2
     assert export.read_bytes() == before
+
+
+def test_a_unit_of_length_is_none_of_dead_reckonings_metres(export):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    walks = [read_walk(export, Layouts(said)) for said in ({}, {("", "length_unit"): "mm"})]
+    np.testing.assert_array_equal(walks[0].positions, walks[1].positions)
+    assert np.ptp(walks[0].positions, axis=0).max() > 3
+
+
+def test_a_walk_loses_no_sample_to_its_dead_reckoning_with_a_warning(export, tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    assert run("odometry", export, "--out", tmp_path / "walk.tum").code == 0
+    done = run("info", export, "--trajectory", tmp_path / "walk.tum")
+    assert "without a pose" not in done.err
+    assert len(read_walk(export, Layouts({}))) == len(readings()[0])

@@ -140,7 +140,7 @@ def test_a_missing_extra_is_named_before_the_work(place, run, tmp_path, monkeypa
     words = ("register", place / "base.map", place / "target.map", "--out", out, "--report", report)
     outcome = run(*words)
     assert outcome.code == 2
-    assert "magmatch[viz]" in outcome.err
+    assert "pip install '.[viz]'" in outcome.err
     assert not out.exists()
 
 
@@ -148,7 +148,7 @@ def test_a_missing_extra_leaves_no_empty_folder(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "magpylib", None)
     outcome = run("simulate", "office", "--out", tmp_path / "pair")
     assert outcome.code == 2
-    assert "magmatch[simulation]" in outcome.err
+    assert "pip install '.[simulation]'" in outcome.err
     assert not (tmp_path / "pair").exists()
 
 

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`magmatch view`: pages, recordings, and a live viewer that ends when it is told to."""
+"""`magmatch view`: pages and recordings."""
 
-import signal
-import subprocess
 import sys
-from urllib.request import urlopen
 
 import pytest
 
@@ -27,12 +24,10 @@ def test_a_page_and_a_recording_are_written_where_both_are_asked_for(place, run,
     assert recording.exists()
 
 
-@pytest.mark.parametrize("words", [("--live",), ("--rerun", "o.rrd")])
-def test_a_result_alone_has_nothing_in_space(place, run, words, tmp_path, monkeypatch):
+def test_a_result_alone_has_nothing_in_space(place, run, tmp_path, monkeypatch):
     pytest.importorskip("rerun")
-    pytest.importorskip("viser")
     monkeypatch.chdir(tmp_path)
-    outcome = run("view", place / "result.json", *words)
+    outcome = run("view", place / "result.json", "--rerun", "o.rrd")
     assert outcome.code == 2
     assert "give its base and target too" in outcome.err
     assert len(outcome.err.splitlines()) == 1
@@ -40,46 +35,16 @@ def test_a_result_alone_has_nothing_in_space(place, run, words, tmp_path, monkey
 
 @pytest.mark.parametrize(
     ("module", "words", "extra"),
-    [("viser", ("--live",), "view"), ("rerun", ("--rerun", "o.rrd"), "rerun"), ("plotly.graph_objects", (), "viz")],
+    [("rerun", ("--rerun", "o.rrd"), "rerun"), ("plotly.graph_objects", (), "viz")],
 )
 def test_a_missing_extra_is_one_line_that_names_it(place, run, monkeypatch, tmp_path, module, words, extra):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, module, None)
     outcome = run("view", place / "base.csv", *words)
     assert outcome.code == 2
-    assert f"pip install 'magmatch[{extra}]'" in outcome.err
+    assert f"pip install '.[{extra}]'" in outcome.err
     assert len(outcome.err.splitlines()) == 1
     assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture
-def interruptible():
-    """Processes started from here listen to Ctrl-C, also where these tests run behind a shell's `&` and do not."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("interruptible")
-def test_the_live_viewer_answers_until_it_is_interrupted(place):
-    pytest.importorskip("viser")
-    words = ["view", str(place / "base.csv"), "--live", "--port", "18700"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "magmatch", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as viewer:
-        try:
-            address = viewer.stdout.readline().strip()
-            with urlopen(address, timeout=30) as answer:
-                assert answer.status == 200
-            viewer.send_signal(signal.SIGINT)
-            assert viewer.wait(timeout=60) == 0
-        finally:
-            viewer.kill()
-        assert viewer.stdout.read() == ""
-        assert viewer.stderr.read().splitlines() == [
-            "Open this address in a browser; Ctrl-C ends the viewer",
-            "Viewer closed",
-        ]
 
 
 def test_surveys_that_come_with_a_result_are_mapped(place, run, tmp_path):

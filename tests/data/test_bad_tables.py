@@ -60,7 +60,7 @@ COLUMNS = {
     "lists": (lambda: good() | {"x": [[1.0]] * N}, "found list"),
     "structures": (lambda: good() | {"x": [{"a": 1.0}] * N}, "found struct"),
     "bytes": (lambda: good() | {"bx": [b"1"] * N}, "found binary"),
-    "a column twice": (lambda: good() | {"X": np.zeros(N)}, "holds a column twice"),
+    "a column twice": (lambda: good() | {"X": np.zeros(N)}, "the column appears 2 times"),
     "time that repeats": (repeated, "column 't': time repeats"),
     "half a quaternion": (lambda: good() | {"qx": np.zeros(N)}, "half a quaternion"),
     "zero quaternions": (lambda: good() | {f"q{k}": np.zeros(N) for k in "xyzw"}, "zero quaternion"),
@@ -74,6 +74,13 @@ def test_parquet_with_wrong_columns_is_refused(case, tmp_path):
     make, words = COLUMNS[case]
     pq.write_table(pa.table(make()), tmp_path / "survey.parquet")
     assert words in refusal(tmp_path / "survey.parquet")
+
+
+def test_parquet_with_two_columns_of_one_name_is_refused(tmp_path):
+    pq, pa = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    table = pa.table(good())
+    pq.write_table(table.append_column("bx", table["bx"]), tmp_path / "survey.parquet")
+    assert "holds a column twice: bx, bx" in refusal(tmp_path / "survey.parquet")
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.6, 0.9, 0.99])

@@ -244,5 +244,5 @@ def test_both_sensors_of_the_wheeled_robot_agree_on_the_field(recordings):
 
 def test_hdf5_recording_without_its_extra_names_the_extra(recordings, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[datasets\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[datasets\]'"):
         load_recordings("kaist", recordings)

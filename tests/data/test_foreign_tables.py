@@ -57,7 +57,7 @@ def test_foreign_column_names_in_csv_and_parquet(room, tmp_path):
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
     layout = SurveyFormat(columns=FOREIGN)
-    names = {ours: theirs.upper() for theirs, ours in layout.column_names().items()}
+    names = {ours: theirs.upper() for ours, theirs in layout.stated_columns().items()}
     frame = pd.DataFrame(columns_of(room)).rename(columns=names).assign(x="not a position")
     frame.to_csv(tmp_path / "room.csv", index=False)
     frame.to_parquet(tmp_path / "room.parquet")
@@ -65,7 +65,7 @@ def test_foreign_column_names_in_csv_and_parquet(room, tmp_path):
     same(read_survey(tmp_path / "room.parquet", layout), room)
 
 
-@pytest.mark.parametrize("text", ["", "x", "x=", "x=a,x", "q=a", "x=a,y=a", "=a"])
+@pytest.mark.parametrize("text", ["", "x", "x=", "x=a,x", "q=a", "x=a,x=b", "=a"])
 def test_columns_that_are_no_pairs_are_refused(text, tmp_path, room):
     room.save(tmp_path / "room.csv")
     with pytest.raises(ConfigurationError, match="--columns: expected pairs"):

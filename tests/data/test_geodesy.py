@@ -30,7 +30,8 @@ def test_distances_do_not_depend_on_the_origin():
     rng = np.random.default_rng(0)
     places = 48.1 + rng.uniform(0, 0.05, 20), 11.5 + rng.uniform(0, 0.05, 20), rng.uniform(0, 600, 20)
     apart = [pdist(local_east_north_up(*places, o)) for o in (ORIGIN, Origin(48.0, 11.6), Origin(47.0, 12.0, 50.0))]
-    assert apart[0] == pytest.approx(apart[1], abs=1e-7) and apart[0] == pytest.approx(apart[2], abs=1e-7)
+    assert apart[1] == pytest.approx(apart[0], abs=1e-7)
+    assert apart[2] == pytest.approx(apart[0], abs=1e-7)
 
 
 def test_places_on_both_sides_of_the_date_line_are_neighbours():

@@ -31,7 +31,7 @@ def hide(monkeypatch, *names):
 )
 def test_writing_names_the_extra(suffix, package, extra, walk, tmp_path, monkeypatch):
     hide(monkeypatch, package)
-    with pytest.raises(MissingExtraError, match=f"magmatch\\[{extra}\\]"):
+    with pytest.raises(MissingExtraError, match=rf"pip install '\.\[{extra}\]'"):
         SURVEY_WRITERS[suffix](walk, tmp_path / f"walk{suffix}")
     assert list(tmp_path.iterdir()) == []
 
@@ -44,5 +44,5 @@ def test_reading_names_the_extra(suffix, package, extra, walk, tmp_path, monkeyp
     pytest.importorskip(package)
     SURVEY_WRITERS[suffix](walk, tmp_path / f"walk{suffix}")
     hide(monkeypatch, package)
-    with pytest.raises(MissingExtraError, match=f"magmatch\\[{extra}\\]"):
+    with pytest.raises(MissingExtraError, match=rf"pip install '\.\[{extra}\]'"):
         read_survey(tmp_path / f"walk{suffix}")

@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Trajectories: interpolation follows the motion it should, and never goes beyond the poses."""
 
+import logging
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.formats.recording import Recording
 from magmatch.data.trajectory import Trajectory
 
 
@@ -77,3 +81,16 @@ def test_wall_clock_times_keep_their_fractions(tmp_path):
 def test_impossible_trajectory_is_refused(times, n_turns, words):
     with pytest.raises(ValueError, match=words):
         Trajectory(np.array(times), np.zeros((len(times), 3)), Rotation.identity(n_turns))
+
+
+@pytest.mark.parametrize(("late", "level"), [(0.009, logging.INFO), (0.021, logging.WARNING)])
+@pytest.mark.parametrize("side", [1, -1])
+def test_samples_an_interval_beyond_the_poses_are_no_news(side, late, level, caplog):
+    """Fields every 10 ms and poses every 20 ms, which end up to 20 ms apart where both stop at once."""
+    caplog.set_level(logging.INFO)
+    times = 1.0 + 0.01 * np.arange(100) + side * late
+    poses = Trajectory(1.0 + np.linspace(0, 0.99, 50), np.zeros((50, 3)), Rotation.identity(50))
+    recording = Recording(Path("log"), times, np.ones((100, 3)), poses)
+    assert len(recording.survey()) < 100
+    (record,) = (r for r in caplog.records if "without a pose" in r.message)
+    assert record.levelno == level

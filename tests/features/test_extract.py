@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 from magmatch.features.config import FeatureConfig
 from magmatch.features.descriptors import N_DIMENSIONS
 from magmatch.features.extract import extract_features, shared_range
+from magmatch.field.build import build_map
 from magmatch.geometry import random_transform
+from magmatch.simulation.simulate import simulate
 
 LAW = settings(max_examples=8, deadline=None)
 CONFIG = FeatureConfig(spacing=0.15)
@@ -61,6 +63,13 @@ def test_descriptors_of_two_surveys_of_one_room_look_alike(make_map, seed):
     anywhere = np.linalg.norm(a.positions[:, None] - b.positions, axis=2)
     assert np.median(apart) < 0.1
     assert np.median(anywhere) > 0.5
+
+
+def test_two_surveys_of_a_room_mapped_by_the_default_prior_have_about_as_many_keypoints():
+    pair = simulate("office", seed=1)
+    one, other = (extract_features(build_map(survey)) for survey in (pair.base, pair.target))
+    assert 0.5 < len(one) / len(other) < 2
+    assert min(one.response.min(), other.response.min()) > 0
 
 
 def test_ranges_are_shared_or_configured(make_map):

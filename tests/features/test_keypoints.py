@@ -83,6 +83,34 @@ def test_all_above_the_mean_are_kept_where_variance_does_not_matter(make_map):
     assert np.array_equal(rows, np.flatnonzero(response > response.mean()))
 
 
+def test_responses_where_the_map_gives_its_prior_do_not_move_the_mean(make_map):
+    field_map, config = make_map(1), COARSE.model_copy(update={"variance_quantile": 1.0})
+    points, response, rows = detect(field_map, config)
+    end = np.quantile(points.positions[:, 0], 0.95)
+
+    class Unsure:
+        hyperparameters = field_map.hyperparameters
+
+        def covariance(self, at):
+            return np.where(at[:, 0] > end - 0.2, 1.0, 1e-3)[:, None, None] * 225e-12 * np.eye(3)
+
+    for sign in (-1, 1):
+        wild = np.where(points.positions[:, 0] > end, sign * 1e3 * np.abs(response).max(), response)
+        told = points.positions[:, 0] < end - 0.5
+        found = find_keypoints(Unsure(), points, wild, config)
+        np.testing.assert_array_equal(np.isin(np.flatnonzero(told), found), np.isin(np.flatnonzero(told), rows))
+
+
+def test_no_keypoint_has_a_negative_response_however_strong_the_negative_ones_are(make_map):
+    field_map = make_map(1)
+    points, response, rows = detect(field_map, COARSE)
+    wild = np.where(np.arange(len(response)) % 150 == 0, -1e4 * np.abs(response).max(), response)
+    found = find_keypoints(field_map, points, wild, COARSE)
+    assert len(found) > len(rows)
+    assert (wild[found] > 0).all()
+    assert len(find_keypoints(field_map, points, np.full(len(response), -1.0), COARSE)) == 0
+
+
 def test_points_with_high_variance_are_dropped(make_map):
     field_map = make_map(1)
     every = COARSE.model_copy(update={"variance_quantile": 1.0})

@@ -17,16 +17,14 @@ SOURCE = Path(magmatch.__file__).parent
 ELSEWHERE = {
     "atomic.py": "the function itself",
     "data/datasets.py": "a cache, checked by SHA-256 whenever it is used",
-    "viz/viewers/rerun_recording.py": "a picture; its bytes differ each time",
-    "slam/output/covariances.py": "as the graph below",
-    "slam/output/g2o.py": "one of the files of a session's folder, which is moved into place once it is whole",
+    "viz/rerun_recording.py": "a picture; its bytes differ each time",
     "simulation/write_pair.py": "made again from a seed; the truth is written last",
 }
 IN_CATALOGUE = {
     "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",
-    "data/tables/tum.py",
-    "data/write.py", "field/storage/archive.py", "field/axis_grid.py", "registration/to_other_programs.py",
-    "registration/index/mapped_arrays.py", "serve/bodies/checkpoints.py", "viz/pages/page.py",
+    "data/tables/tum.py", "data/write.py", "field/storage/archive.py", "field/axis_grid.py", "registration/g2o.py",
+    "registration/to_other_programs.py", "registration/index/mapped_arrays.py", "serve/bodies/checkpoints.py",
+    "viz/pages/page.py",
 }  # fmt: skip
 
 

@@ -9,7 +9,8 @@ from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.preparation.calibrate_on_map import calibrate, sizes_of, switches_of
-from magmatch.preparation.config import PreparationConfig
+from magmatch.preparation.calibration_steps import calibration_steps
+from magmatch.preparation.config import PreparationConfig, TimeOffsetConfig
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.time_offset import coarse_settings, search_time_offset
 
@@ -91,3 +92,14 @@ def test_the_search_for_an_offset_ends_within_a_step_of_it_and_at_none_where_the
         assert set(solution.estimate) == {"hard_iron"}
     # At the right offset the map explains what it cannot at another.
     assert search_time_offset(log_of(0.0), 0.0, {})[1].noise_sd < solution.noise_sd
+
+
+def test_an_offset_beyond_those_that_were_searched_is_none_and_said_so():
+    log = log_of(offset=0.35)
+    narrow = CLOCK_ALONE.model_copy(update={"time_offset": TimeOffsetConfig(largest=0.1)})
+    found = calibrate(log, narrow, {}, np.ones(len(log), dtype=bool))
+    assert found.model.time_offset == 0
+    assert abs(found.beyond) > 0.1
+    (step,) = [s for s in calibration_steps(log, found, narrow, {}, "") if s.step == "time offset"]
+    assert step.outcome == "unknown"
+    assert "more than was searched" in step.words

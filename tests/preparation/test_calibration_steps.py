@@ -48,10 +48,10 @@ def reports(chosen, full=None, *, is_refused=False, currents="flag", p_value=1e-
     model = SensorModel() if is_refused or not chosen.estimate else model_of(chosen.estimate, {"motor": CURRENT})
     calibration = Calibration(
         model, full, chosen, dict.fromkeys(chosen.estimate, 5e-06), watched or {}, (9e-6, 2e-6),
-        Hyperparameters(0.4, 1e-5, 4e-7, 0.2), is_refused, (3e-6, 1e-6),
+        Hyperparameters(0.4, 1e-5, 4e-7, 0.2), "it is worse" if is_refused else "", None, (3e-6, 1e-6),
     )  # fmt: skip
     config = PreparationConfig.model_validate({"currents": {"mode": currents}, **settings})
-    steps = calibration_steps(SURVEY, LOG, calibration, config, {"motor": CURRENT})
+    steps = calibration_steps(LOG, calibration, config, {"motor": CURRENT}, "")
     return {step.step: step for step in steps}
 
 
@@ -93,9 +93,9 @@ def test_what_was_dropped_is_not_shown_and_gained_nothing():
 def test_corrections_that_predict_worse_are_withdrawn_in_words_too():
     steps = reports(solution(["hard_iron"]), is_refused=True)
     assert steps["hard iron"].outcome == "unchanged"
-    assert "predicts held-out stretches worse" in steps["hard iron"].words
+    assert steps["hard iron"].words.endswith("; withdrawn with all corrections")
     assert steps["all corrections"].outcome == "unchanged"
-    assert "none was applied" in steps["all corrections"].words
+    assert steps["all corrections"].words == "withdrawn, none was applied: it is worse"
 
 
 def test_unknowns_that_the_data_leave_open_are_named():

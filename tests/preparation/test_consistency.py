@@ -9,7 +9,8 @@ import pytest
 from hand_made import EARTH, box, some_field
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.preparation.consistency import MapConsistency, held_out_error
+from magmatch.field.tiles.region_model import MOST_OPERATIONS
+from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
 
 H = Hyperparameters(0.8, 8e-6, 0.3e-6, 0.4)
 RNG = np.random.default_rng(0)
@@ -62,3 +63,14 @@ def test_the_miss_of_left_out_stretches_is_that_of_the_noise_where_the_field_is_
     rough = 2e-6 * np.sign(np.sin(300 * t))[:, None] * np.ones(3)
     assert held_out_error(path, smooth + rough + noise, wide) > 4 * clean
     assert held_out_error(path, 0 * smooth + EARTH, wide) < 0.05e-6
+
+
+def test_a_map_in_too_much_detail_is_coarsened_before_its_memory_is_taken(caplog):
+    points = np.random.default_rng(0).uniform(0, 0.4, (4000, 3))
+    fine = Hyperparameters(0.0098, 1e-6, 1e-6, 0.0037, 3.0)
+    h = affordable(points, fine)
+    assert SplineModel.over(points, h).elimination.n_operations <= MOST_OPERATIONS
+    assert h.lengthscale >= 2.5 * h.spacing > 5 * fine.spacing
+    assert "--thin METRES" in caplog.text
+    ordinary = Hyperparameters(0.3, 1e-6, 1e-6, 0.15, 3.0)
+    assert affordable(points, ordinary) == ordinary

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
-from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation, runs
+from magmatch.preparation.disturbances import find_jumps, find_saturation, runs
 from magmatch.preparation.earth_field import Place, earth_field, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.resampling import resample_by_distance, steps_of
@@ -124,6 +125,20 @@ def test_each_step_is_the_mean_or_the_median_of_its_own_samples(walk):
 def test_a_step_begins_where_the_last_one_is_as_far_away_as_it_is_long():
     x = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.4, 0.3], [0, 0.4, 0.31], [0, 0, 0], [0, 0, 0.1]])
     assert steps_of(x, 0.5).tolist() == [0, 0, 1, 1, 2, 2]
+
+
+@pytest.mark.parametrize("latitude", [90, -90])
+def test_earth_field_at_a_pole_is_that_beside_it(latitude):
+    pytest.importorskip("ppigrf")
+    at, beside = (earth_field(Place(part * latitude, 30, 0, date(2024, 5, 1))) for part in (1, 1 - 1e-6))
+    np.testing.assert_allclose(at, beside, atol=1e-9)
+
+
+def test_readings_that_cancel_are_flagged_without_a_warning():
+    pytest.importorskip("ppigrf")
+    check = earth_step(np.zeros((20, 3)), MUNICH)
+    assert check.outcome == "flagged"
+    assert "hard iron" in check.words
 
 
 def test_earth_field_is_that_of_the_model():

@@ -4,6 +4,7 @@
 import json
 import os
 import signal
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,9 +49,10 @@ def test_answers_are_those_of_a_localizer(door, hall, known):
             np.testing.assert_allclose(answer["covariance"], now.covariance, rtol=1e-4, atol=1e-10)
 
 
-def test_a_replayed_log_is_found_where_it_was_walked(door, hall):
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (691234.5, 5334567.25, 512.0)])
+def test_a_replayed_log_is_found_where_it_was_walked(door, hall, origin):
     log, truth = hall.walk(3)
-    found = replay(log, door.url, speed=1000.0)
+    found = replay(replace(log, positions=log.positions + origin), door.url, speed=1000.0)
     rows = np.searchsorted(log.times, found.times)
     off = np.linalg.norm(found.poses.translation - truth[rows], axis=1)
     assert found.n_answers == len(log)

@@ -29,6 +29,7 @@ ANYTHING = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner, max_size=4),
     max_leaves=9,
 )
+UTM = np.array([691234.5, 5334567.25, 512.0])
 SAMPLES = st.fixed_dictionaries(
     {"t": ANYTHING | NUMBERS, "position": ANYTHING | st.lists(NUMBERS, min_size=3, max_size=3),
      "orientation": ANYTHING | st.just([0, 0, 0, 1]), "field": ANYTHING | st.lists(NUMBERS, min_size=3, max_size=3)},
@@ -104,6 +105,16 @@ def test_a_binary_sample_holds_what_a_json_one_does():
     assert len(packed) == SAMPLE.itemsize == 48
     np.testing.assert_allclose(read_samples(packed, 1), read_samples(json.dumps(row), 1), rtol=1e-7)
     assert POSE.size == 204
+
+
+def test_a_binary_position_that_float32_cannot_hold_is_refused():
+    q, b = np.array([0.0, 0, 0, 1]), np.array([2e-5, 0, 4e-5])
+    near, far = write_sample(1.0, np.array([16_383.0, 0, -16_383.0]), q, b), write_sample(2.0, UTM, q, b)
+    assert len(read_samples(near, 1)) == 1
+    with pytest.raises(RefusedError, match=r"position: expected less than 16 km .* take the first position off"):
+        read_samples(near + far, 2)
+    row = {"t": 2.0, "position": UTM.tolist(), "orientation": q.tolist(), "field": b.tolist()}
+    np.testing.assert_array_equal(read_samples(json.dumps(row), 1)[0, 1:4], UTM)
 
 
 def test_the_schema_of_samples_is_the_one_that_is_read():

@@ -81,6 +81,15 @@ def test_keys_are_not_their_ids():
     assert not any(map(is_key, ("", "a" * 42, "a" * 44, "../" + "a" * 40, "a" * 42 + "\n")))
 
 
+def test_states_that_cannot_be_kept_say_where_else(tmp_path):
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(ConfigurationError, match=r"cannot be kept there .*--states OTHER-FOLDER"),
+        checkpoints.held(tmp_path / "file" / "states"),
+    ):
+        pass
+
+
 def test_a_kept_state_is_the_last_one_and_sweeping_leaves_what_is_not_ours(tmp_path):
     with checkpoints.held(tmp_path / "states"):
         folder, client = tmp_path / "states", id_of(new_key())

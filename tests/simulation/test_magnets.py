@@ -131,13 +131,22 @@ def test_field_has_one_row_per_point(rng, n):
     assert field_of(some_sources(rng), np.full((n, 3), 4.0)).shape == (n, 3)
 
 
+def test_inside_a_magnet_and_on_its_surface_the_field_is_finite_and_at_a_dipole_it_is_refused():
+    at = np.array([[0.0, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0], [0.5, 0.5, 0.5]])
+    J, unturned = np.array([0, 0, 1.0]), Rotation.identity()
+    for body in (Box(np.zeros(3), np.ones(3), J, unturned), Cylinder(np.zeros(3), 1.0, 1.0, J, unturned)):
+        assert np.isfinite(field_of([body], at)).all()
+    with pytest.raises(ValueError, match="found point 0"):
+        field_of([Dipole(np.zeros(3), J)], at)
+
+
 def test_without_sources_the_field_is_zero():
     assert not field_of([], np.ones((4, 3))).any()
 
 
 def test_without_magpylib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "magpylib", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[simulation\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[simulation\]'"):
         field_of([Dipole(np.zeros(3), np.ones(3))], np.ones((1, 3)))
 
 

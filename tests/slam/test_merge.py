@@ -12,7 +12,7 @@ from drifting import Place
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
-from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
+from magmatch.geometry import covariance_about, exp_se3, log_se3, random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging
@@ -21,7 +21,6 @@ from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.merge import merge
 from magmatch.slam.result import SlamStatus
-from magmatch.slam.statement import covariance_about
 
 RNG = np.random.default_rng(4)
 # Frames of the surveys, from the room's: far from their samples, where every turn is a large shift.

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a session says of itself: the document, the folder, and the graph for other programs."""
 
+import csv
 import json
 from dataclasses import replace
 
@@ -18,11 +19,13 @@ from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.find_places import settled
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
+from magmatch.slam.output.covariances import write_covariances
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.search.loop_closure import Match
+from magmatch.slam.statement import body_at
 
 KEYS = [
     "schema",
@@ -307,6 +310,15 @@ def test_drift_that_cannot_be_is_refused(sd):
         SlamConfig(odometry={"sd": sd})
 
 
+def test_covariances_are_a_table_whatever_a_log_is_called(lone, tmp_path, monkeypatch):
+    monkeypatch.setattr(mm.Session, "names", property(lambda _: ['a "b", c']))
+    write_covariances(lone.session, tmp_path / "covariances.csv")
+    with (tmp_path / "covariances.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["log"] for row in rows} == {'a "b", c'}
+    assert all(None not in row and float(row["c55"]) >= 0 for row in rows)
+
+
 def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):
     write_folder(lone.session, tmp_path / "out")
     header, *rows = (tmp_path / "out" / "covariances.csv").read_text().splitlines()
@@ -314,8 +326,11 @@ def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):
     (path,), (after,) = lone.session.paths, lone.session.trajectories
     assert len(cells) == len(path.windows)
     sds = lone.session.standard_deviations(path.nodes)
-    for cell, middle, (place, turn) in zip(cells, path.middles, sds, strict=True):
-        assert float(cell["t"]) == pytest.approx(after.times[middle])
+    for cell, node, middle, (place, turn) in zip(cells, path.nodes, path.middles, sds, strict=True):
+        # To the last bit: nine digits of a Unix time are 10 s, and of a northing 1 cm.
+        assert float(cell["t"]) == after.times[middle]
+        T = lone.session.graph.pose(node) * body_at(path, node, is_rigid=False)[0]
+        assert [float(cell[k]) for k in "xyz"] == T.translation.tolist()
         np.testing.assert_allclose([float(cell[k]) for k in "xyz"], after.positions[middle], atol=1e-6)
         q = Rotation.from_quat([float(cell[f"q{k}"]) for k in "xyzw"])
         assert (q.inv() * after.orientations[middle]).magnitude() < 1e-6

@@ -3,9 +3,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
-from magmatch.geometry import exp_se3, random_transform
+from magmatch.geometry import adjoint, covariance_about, exp_se3, random_transform
 from magmatch.registration.result import DegenerateDirection
 from magmatch.viz.figures.ellipsoids import LEVEL, direction_words, ellipsoids_at, swept
 
@@ -30,6 +31,38 @@ def test_ellipsoids_hold_their_share_of_drawn_transforms(case):
     # Four standard errors of a share of 4000 draws, and the second order of the exponential.
     assert inside(place, shifts).mean() == pytest.approx(LEVEL, abs=0.015)
     assert inside(turn, turns).mean() == pytest.approx(LEVEL, abs=0.015)
+
+
+@pytest.mark.parametrize("origin", [(691234.5, 5334567.25, 512.0), (4177654.1, 855321.7, 4727811.3)])
+def test_ellipsoids_are_the_same_about_a_far_origin(case, origin):
+    _, covariance, T, center = case
+    M = adjoint(RigidTransform.from_translation(origin))
+    far = ellipsoids_at(M @ covariance @ M.T, T, center + origin)
+    # To a hundredth: of the metres that a turn of mrad is at 5,000 km, float64 keeps some 1e-8 m^2.
+    for there, here in zip(far, ellipsoids_at(covariance, T, center), strict=True):
+        np.testing.assert_allclose(there.half_axes, here.half_axes, rtol=0.01)
+
+
+def test_a_covariance_stays_definite_where_rounding_about_a_far_origin_took_all():
+    covariance = np.diag([1e-6] * 3 + [1e-12] * 3)  # micrometres
+    origin = np.array([4177654.1, 855321.7, 4727811.3])
+    M = adjoint(RigidTransform.from_translation(origin))
+    for point in origin + np.random.default_rng(0).normal(size=(20, 3)):
+        about = covariance_about(M @ covariance @ M.T, point)
+        assert np.linalg.eigvalsh(about)[0] > 0
+        # A metre or two turned by 1 mrad; what is added is what float64 rounds off, a tenth of a millimetre.
+        assert np.sqrt(np.diagonal(about)[3:].max()) < 3e-3
+
+
+def test_sweeping_turns_samples_far_from_the_origin_about_themselves(case):
+    rng, _, T, center = case
+    far = center + np.array([4177654.1, 855321.7, 4727811.3])
+    p, theta = far + rng.normal(size=(50, 3)), np.array([0.0, 0.6, 0.8])
+    xi = np.concatenate([theta, -np.cross(theta, far)])
+    moved = swept(np.vstack([p, far]), T, DegenerateDirection(xi / np.linalg.norm(xi), "turning"), 0.1)
+    lengths = np.linalg.norm(moved - T.apply(np.vstack([p, far])), axis=1)
+    assert lengths.max() == pytest.approx(0.1, rel=1e-3)
+    assert lengths[-1] < 1e-6
 
 
 def test_the_surface_is_where_the_squared_distance_is_the_quantile(case):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Figures show what the nouns hold, with units, in colours and shapes that everyone can tell apart."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -132,6 +133,66 @@ def test_every_axis_says_its_unit(pair):
         axes = layout.get("scene", layout)
         titles = [axes[name]["title"]["text"] for name in ("xaxis", "yaxis")]
         assert all(any(unit in title for unit in ("(m)", "(uT)", "(s)", "sample")) for title in titles)
+
+
+UTM = np.array([691234.5, 5334567.25, 512.0])
+
+
+@pytest.fixture(scope="module")
+def far(pair):
+    """The pair in a frame of UTM, both of them."""
+    T = RigidTransform.from_translation(UTM)
+    base, target = (replace(s.transformed(T), name=s.name) for s in (pair.base, pair.target))
+    T_base_target = T * pair.accepted.T_base_target * T.inv()
+    links = Links(pair.accepted.links.base + UTM, pair.accepted.links.target + UTM)
+    return base, target, replace(pair.accepted, T_base_target=T_base_target, links=links)
+
+
+def drawn_off(axis_titles):
+    """What the titles of axes say was taken off."""
+    found = [re.match(r"[xyz](?: - (\d+))? \(m\)", title) for title in axis_titles]
+    return np.array([float(m[1] or 0) for m in found])
+
+
+def test_samples_far_from_the_origin_are_drawn_where_they_are(pair, far):
+    base, target, result = far
+    figure = survey_figure(base)
+    off = drawn_off(figure.layout.scene[f"{axis}axis"].title.text for axis in "xyz")
+    np.testing.assert_array_equal(off, [691000, 5334000, 0])
+    # Single precision keeps 0.1 mm of what lies within a kilometre.
+    np.testing.assert_allclose(xyz(figure.data[0]) + off, base.positions, atol=1e-4)
+    before, after = scene_figures(base, target, result)
+    moved = transform_points(target.positions, result.T_base_target)
+    for drawn, p in ((before, target.positions), (after, moved)):
+        np.testing.assert_allclose(xyz(drawn.data[1]) + off, p, atol=1e-4)
+    rows = xyz(after.data[-1]).reshape(-1, 3, 3)
+    assert np.linalg.norm(rows[:, 0] - rows[:, 1], axis=1).max() < 1e-3
+
+
+def test_frames_that_lie_far_apart_are_overlaid_about_their_own_origins(pair, far):
+    base, _, result = far
+    links = Links(result.links.base, pair.accepted.links.target)
+    before, _ = scene_figures(base, pair.target, replace(result, links=links))
+    assert "about (691000, 5334000, 0) and (0, 0, 0) m" in before.layout.title.text
+    np.testing.assert_allclose(xyz(before.data[0]), base.positions - [691000, 5334000, 0], atol=1e-4)
+    np.testing.assert_allclose(xyz(before.data[1]), pair.target.positions, atol=1e-6)
+
+
+def test_a_plan_far_from_the_origin_names_what_it_takes_off(far):
+    base, target, result = far
+    here = result.T_base_target
+    figure = poses_figure(base, target, [here, RigidTransform.from_translation([5.0, 0, 0]) * here])
+    off = drawn_off(figure.layout[f"{axis}axis"].title.text for axis in "xy")
+    np.testing.assert_array_equal(off, [691000, 5334000])
+    dots = np.column_stack([figure.data[0].x, figure.data[0].y])
+    np.testing.assert_allclose(dots + off, base.positions[:, :2], atol=1e-4)
+    assert "1 around x 69123" in figure.layout.meta["alt"]
+
+
+def test_a_cut_far_from_the_origin_keeps_its_steps(far):
+    cut = cut_through(far[0].positions)
+    np.testing.assert_allclose(np.diff(cut.first.astype(np.float32)), np.diff(cut.first), rtol=0.01)
+    np.testing.assert_allclose(cut.along(cut.points)[: len(cut.first), 0], cut.first, atol=1e-8)
 
 
 def test_names_are_text_not_markup(pair):

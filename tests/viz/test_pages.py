@@ -223,5 +223,5 @@ def test_a_map_is_viewed_as_in_its_report_and_names_may_repeat(pair, tmp_path):
 
 def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[viz\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[viz\]'"):
         require_plotly()

@@ -67,7 +67,7 @@ def test_a_recording_holds_logs_on_their_way_and_closures(session, tmp_path):
     pytest.importorskip("rerun")
     from rerun.chunk import RrdReader
 
-    from magmatch.viz.viewers.rerun_recording import N_STEPS, write_session_rerun
+    from magmatch.viz.rerun_recording import N_STEPS, write_session_rerun
 
     write_session_rerun(tmp_path / "s.rrd", session)
     chunks = list(RrdReader(tmp_path / "s.rrd").stream())

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from magmatch.arguments import expect_path
+from magmatch.brief import brief
 from magmatch.data.formats.sniff import sniff
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -53,6 +54,8 @@ class Atlas:
     entries: tuple[AtlasEntry, ...]
     config: RegistrationConfig
     _loaded: dict[Path, MapIndex] = field(default_factory=dict)
+
+    __repr__ = brief
 
     @property
     def volume(self) -> float:

@@ -44,11 +44,15 @@ class Layouts:
 
 
 def command(
-    name: str, examples: Sequence[str], surveys: Sequence[str] | None = None
+    name: str, examples: Sequence[str], surveys: Sequence[str] | None = None, *, reads: str = ""
 ) -> Callable[[Callable[..., int | None]], Callable[[typer.Typer], None]]:
-    """Turn a function into one that adds it to the program as a subcommand, with options for reading its surveys."""
+    """Turn a function into one that adds it to the program as a subcommand, with options for reading its surveys.
+
+    ``reads`` names, as the help does, the files that these options are of; ``surveys`` those with options of their
+    own besides (None: there are none of either).
+    """
     epilog = "\b\nExamples:\n" + "\n".join(f"  {example}" for example in examples)
-    extra = {} if surveys is None else _layout_parameters(("", *surveys))
+    extra = {} if surveys is None else _layout_parameters(("", *surveys), reads)
 
     def decorate(function: Callable[..., int | None]) -> Callable[[typer.Typer], None]:
         hints = get_type_hints(function, include_extras=True)
@@ -104,14 +108,15 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
 
 
-def _layout_parameters(surveys: Sequence[str]) -> dict[str, tuple[tuple[str, str], Any]]:
+def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tuple[str, str], Any]]:
     """One option per setting of `SurveyFormat` and survey: parameter name -> ((survey, setting), annotation)."""
     parameters: dict[str, tuple[tuple[str, str], Any]] = {}
     for survey in surveys:
         prefix = f"{survey}_" if survey else ""
         for name, field in SurveyFormat.model_fields.items():
             flag = flag_of(survey, name)
-            words = field.description if not survey else f"The same for {survey.upper()} alone."
+            what = str(field.description)
+            words = f"The same for {survey.upper()} alone." if survey else f"{reads}: {what[0].lower()}{what[1:]}"
             option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
             kind: Any = field.annotation
             parameters[prefix + name] = ((survey, name), Annotated[kind | None, option])

@@ -13,6 +13,7 @@ from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
+from magmatch.number_text import told
 
 EXAMPLES = (
     "magmatch convert drive.mcap survey.csv",
@@ -27,7 +28,7 @@ MAP_GRIDS = (".vtk", ".ply", ".nc")
 RESULTS = (".tum", ".g2o", ".yaml")
 
 
-@command("convert", EXAMPLES, surveys=())
+@command("convert", EXAMPLES, surveys=(), reads="INPUT")
 def convert(
     source: Annotated[Path, typer.Argument(help="Survey, log, trajectory, saved map or result.", metavar="INPUT")],
     out: Annotated[
@@ -58,7 +59,8 @@ def convert(
     elif kind in {"tum", "euroc"} and suffix == ".tum":
         from magmatch.data.formats.load_trajectory import load_trajectory
 
-        load_trajectory(source, layouts.of()).save(out)
+        layout = layouts.of()
+        load_trajectory(source, layout, layout.time_unit).save(out)
     else:
         _write_survey(source, out, suffix, layouts, () if kind != "map" else MAP_GRIDS)
     say(f"Wrote {out}")
@@ -86,7 +88,12 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
 
 
 def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:
-    from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
+    from magmatch.registration.to_other_programs import (
+        vertices_of,
+        write_g2o,
+        write_relative_tum,
+        write_static_transform,
+    )
 
     names = [name.strip() for name in frames.split(",")]
     if len(names) != 2 or not all(names):
@@ -100,6 +107,9 @@ def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotatio
             write_relative_tum(result, out)
         elif suffix == ".g2o":
             write_g2o(result, out, "quaternion" if g2o_rotation == "quaternion" else "angle")
+            for k, (side, at) in enumerate(zip(("base", "target"), vertices_of(result), strict=True)):
+                if at.any():
+                    say(f"Vertex {k} stands at {', '.join(told(v) for v in at)} m of the {side}, near its samples")
         else:
             write_static_transform(result, out, names[0], names[1])
     except SurveyError as error:

@@ -20,7 +20,7 @@ EXAMPLES = (
 )
 
 
-@command("info", EXAMPLES, surveys=())
+@command("info", EXAMPLES, surveys=(), reads="FILE")
 def info(
     file: Annotated[
         Path, typer.Argument(help="Survey, log, saved map, trajectory or registration result.", metavar="FILE")
@@ -32,14 +32,13 @@ def info(
 
     Shows counts, extent, units, frames, gaps and quality warnings.
     """
-    from magmatch.data.formats.sniff import sniff
+    from magmatch.data.read import kind_of
 
-    kind = sniff(file)
+    kind = kind_of(file, layouts.of())
     if kind == "registration":
         result = read_result(file)
         put(as_json({"kind": "registration"} | result.to_dict()) if json else tell_result(result))
         return
-    kind = "csv" if kind == "phone" and layouts.of().columns else kind
     names = {"tum": "trajectory", "map": "map", "log": "log", "phone": "phone log"}
     facts = {"kind": names.get(kind, "survey"), "file": str(file)}
     of_kind = {"map": _of_map, "tum": _of_trajectory, "log": _of_log, "phone": _of_phone}
@@ -91,10 +90,11 @@ def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
     return facts | {"hyperparameters": numbers} | describe(field_map.survey)
 
 
-def _of_trajectory(path: Path, _layouts: Layouts) -> dict[str, Any]:
-    from magmatch.data.trajectory import Trajectory
+def _of_trajectory(path: Path, layouts: Layouts) -> dict[str, Any]:
+    from magmatch.data.formats.load_trajectory import load_trajectory
 
-    trajectory = Trajectory.load(path)
+    layout = layouts.of()
+    trajectory = load_trajectory(path, layout, layout.time_unit)
     times, p = trajectory.times, trajectory.positions
     return {
         "poses": len(times),

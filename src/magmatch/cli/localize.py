@@ -27,7 +27,7 @@ EXAMPLES = (
 )
 
 
-@command("localize", EXAMPLES, surveys=())
+@command("localize", EXAMPLES, surveys=(), reads="LOG")
 def localize(
     place: Annotated[Path, typer.Argument(help="A saved map, its index, or a folder of maps.", metavar="MAP")],
     log: Annotated[
@@ -103,8 +103,9 @@ def tell(result: "LocalizationResult") -> str:
     if result.first_fix is None or result.sensor is None:
         return f"{level}Never localized: {result.reason}"
     where = f" in {result.map}" if result.map else ""
+    ended = "Pose too uncertain at the end" if result.is_place_known else result.status.capitalize()
     bias = ", ".join(f"{1e6 * b:z.1f}" for b in result.sensor["bias"])
     return (
-        f"{level}{result.status.capitalize()}{where}: {result.reason}\n"
+        f"{level}{ended}{where}: {result.reason}\n"
         f"  first after {result.first_fix[1]:.1f} m; a pose for {result.share:.0%} of the time; bias {bias} uT"
     )

@@ -38,7 +38,7 @@ EXAMPLES = (
 )
 
 
-@command("map", EXAMPLES, surveys=())
+@command("map", EXAMPLES, surveys=(), reads="every SURVEY")
 def build(
     surveys: Annotated[
         list[Path],

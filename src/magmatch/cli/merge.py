@@ -22,7 +22,7 @@ EXAMPLES = (
 )
 
 
-@command("merge", EXAMPLES, surveys=())
+@command("merge", EXAMPLES, surveys=(), reads="every SURVEY")
 def merge(
     surveys: Annotated[
         list[Path],

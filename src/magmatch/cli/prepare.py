@@ -27,7 +27,7 @@ EXAMPLES = (
 )
 
 
-@command("prepare", EXAMPLES, surveys=())
+@command("prepare", EXAMPLES, surveys=(), reads="LOG")
 def prepare(
     log: Annotated[Path, typer.Argument(help="Raw log: a survey with orientations.", metavar="LOG")],
     out: Annotated[Path, typer.Option(help="Write the survey here (CSV).")],
@@ -37,17 +37,26 @@ def prepare(
     ] = None,
     config: Annotated[
         Path | None,
-        typer.Option(help="YAML file: recalibration, time_offset, calibration, currents, disturbances, resampling."),
+        typer.Option(
+            help="YAML file: thin, recalibration, time_offset, calibration, currents, disturbances, resampling."
+        ),
     ] = None,
     sensor_from: Annotated[
         Path | None,
         typer.Option(
             help="Start from a known calibration: the report (JSON) of another log, or a CSV of bx,by,bz (sensor "
-            "frame) recorded while rotating the sensor in one place."
+            "frame) recorded while rotating the sensor in one place, to which --field-unit, --columns and --recover "
+            "apply too."
         ),
     ] = None,
     place: Annotated[
         str | None, typer.Option(help="LAT,LON,HEIGHT in degrees and metres: compare with the Earth's field there.")
+    ] = None,
+    thin: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6, metavar="METRES", help="Take one sample each METRES of the way: for logs of high rates."
+        ),
     ] = None,
     date: Annotated[str | None, typer.Option(help="Day of the survey, YYYY-MM-DD; goes with --place.")] = None,
 ) -> None:
@@ -67,6 +76,7 @@ def prepare(
     check_outputs((out, report), inputs=(log, config, sensor_from, layout.trajectory))
     where = parse_place(place, date)
     settings = merged(PreparationConfig(), config, "preparation")
+    settings = settings if thin is None else settings.model_copy(update={"thin": thin})
     survey, channels = read_survey_and_channels(log, layout)
     trajectory = None if layout.trajectory is None else load_trajectory(layout.trajectory, layout)
     known = None if sensor_from is None else read_sensor(sensor_from, layout)
@@ -103,8 +113,8 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
     """Known correction of the sensor, from a report or a recording made while rotating it."""
+    from magmatch.data.formats.table_columns import read_columns
     from magmatch.data.survey_columns import FIELD_COLUMNS
-    from magmatch.data.tables.table import read_table
     from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
     from magmatch.preparation.calibrate_in_place import fit_ellipsoid
@@ -112,7 +122,8 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
 
     if read_bytes(path, 64).lstrip()[:1] == b"{":
         return PreparationReport.load(path).sensor
-    table = read_table(path, FIELD_COLUMNS)
+    table, chosen = read_columns(path, layout)
+    table = chosen.of(table)
     table.require(FIELD_COLUMNS, "A recording of a rotating sensor needs only these")
     try:
         return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]

@@ -21,10 +21,14 @@ EXAMPLES = (
 def query(
     field_map: Annotated[Path, typer.Argument(help="Saved map.", metavar="MAP")],
     points: Annotated[
-        Path, typer.Argument(help="CSV with columns x, y, z in the map's frame.", metavar="POINTS.csv")
+        Path,
+        typer.Argument(
+            help="CSV with columns x, y, z in the map's frame; or lat, lon, alt, if it is about an origin.",
+            metavar="POINTS.csv",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Write here (CSV).")],
-    length_unit: Annotated[str, typer.Option(help="Unit of the points: m|cm|mm.")] = "m",
+    length_unit: Annotated[str, typer.Option(help="POINTS.csv: unit of the points, m|cm|mm.")] = "m",
     gradient: Annotated[bool, typer.Option("--gradient", help="Add the field's gradient, T/m.")] = False,
 ) -> None:
     """Write MAP's field at given points.
@@ -33,12 +37,14 @@ def query(
     order. Points where the map does not know the field have the prior's large standard deviation.
     """
     from magmatch.data.formats.csv import read_points
+    from magmatch.data.survey_columns import origin_of
     from magmatch.data.tables.table import write_table
     from magmatch.field.query import query_map
 
     check_outputs((out,), inputs=(field_map, points))
     loaded = read_map(field_map)  # first: what is swapped is no map
-    p_map = read_points(points, Layouts({("", "length_unit"): length_unit}).of())
+    stated = {("", "length_unit"): length_unit, ("", "origin"): origin_of(loaded.survey.frame)}
+    p_map = read_points(points, Layouts(stated).of())
     table = query_map(loaded, p_map, with_gradient=gradient)
     write_table(out, table)
     n_known = int(loaded.knows(p_map).sum())

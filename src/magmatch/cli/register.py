@@ -38,7 +38,7 @@ EXAMPLES = (
 )
 
 
-@command("register", EXAMPLES, surveys=("base", "target"))
+@command("register", EXAMPLES, surveys=("base", "target"), reads="BASE and TARGET")
 def register(
     base: Annotated[
         Path, typer.Argument(help="Survey, saved map or folder of saved maps that defines the frame.", metavar="BASE")

@@ -25,7 +25,7 @@ EXAMPLES = (
 )
 
 
-@command("replay", EXAMPLES, surveys=())
+@command("replay", EXAMPLES, surveys=(), reads="LOG")
 def replay(
     log: Annotated[Path, typer.Argument(help="Log with odometry and field; or a phone's raw log.", metavar="LOG")],
     url: Annotated[str, typer.Option(help="Address of the service, as printed by 'magmatch serve'.")],

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def require_recording(rerun: Path | None) -> None:
     """Require the package that writes the recording, before the work begins."""
     if rerun is not None:
-        from magmatch.viz.viewers.rerun_recording import require_rerun
+        from magmatch.viz.rerun_recording import require_rerun
 
         require_rerun()
 
@@ -50,7 +50,7 @@ def deliver(
 
     result = write_folder(session, out, write_report, poses)
     if rerun is not None:
-        from magmatch.viz.viewers.rerun_recording import write_session_rerun
+        from magmatch.viz.rerun_recording import write_session_rerun
 
         write_session_rerun(rerun, session)
     if json:

@@ -37,7 +37,7 @@ EXAMPLES = (
 SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
 
 
-@command("slam", EXAMPLES, surveys=())
+@command("slam", EXAMPLES, surveys=(), reads="every LOG")
 def slam(
     logs: Annotated[
         list[Path],
@@ -62,7 +62,8 @@ def slam(
     anchors: Annotated[
         Path | None,
         typer.Option(
-            help="Known positions of logs at given times: a table log,t,x,y,z,sd (s and m); or lat,lon for x,y."
+            help="Known positions of logs at given times: a table log,t,x,y,z,sd, always in s and m; or lat,lon "
+            "for x,y."
         ),
     ] = None,
     no_waypoints: Annotated[

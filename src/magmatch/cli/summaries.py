@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from magmatch.number_text import told
+
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
@@ -85,7 +87,8 @@ def _text(value: Any, unit: str) -> str:
     if isinstance(value, list):
         return ", ".join(_text(v, "") if unit != "uT" else f"{1e6 * v:.4g}" for v in value) + f" {unit}".rstrip()
     if isinstance(value, float):
-        return f"{1e6 * value if unit == 'uT' else value:.6g} {unit}".rstrip()
+        # To a thousandth, however large: coordinates far from their origin.
+        return f"{told(1e6 * value if unit == 'uT' else value, 6, 1e-3)} {unit}".rstrip()
     return f"{value} {unit}".rstrip()
 
 

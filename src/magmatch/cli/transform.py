@@ -18,7 +18,7 @@ EXAMPLES = (
 )
 
 
-@command("transform", EXAMPLES, surveys=("target",))
+@command("transform", EXAMPLES, surveys=("target",), reads="TARGET")
 def transform(
     target: Annotated[Path, typer.Argument(help="Survey or saved map.", metavar="TARGET")],
     by: Annotated[Path, typer.Option(help="Result of 'magmatch register' (JSON).")],

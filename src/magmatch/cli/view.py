@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""``magmatch view``: a picture of a survey, a map or a registration, a live viewer, or a recording for one."""
+"""``magmatch view``: a picture of a survey, a map or a registration, or a recording of it."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from pydantic import ValidationError
 
-from magmatch.cli.command import Layouts, command
+from magmatch.cli.command import Layouts, command, flag_of
 from magmatch.cli.inputs import read_result, read_survey_or_map
-from magmatch.cli.narration import put, say
+from magmatch.cli.narration import put
+from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import ConfigurationError
 
@@ -22,12 +23,11 @@ EXAMPLES = (
     "magmatch view survey.csv --field-unit uT --out survey.html",
     "magmatch view room.map --out room.html",
     "magmatch view result.json base.csv target.csv --out result.html",
-    "magmatch view result.json base.map target.map --live",
     "magmatch view room.map walk.csv --rerun room.rrd",
 )
 
 
-@command("view", EXAMPLES, surveys=())
+@command("view", EXAMPLES, surveys=("base", "target"), reads="every FILE")
 def view(
     files: Annotated[
         list[Path],
@@ -39,42 +39,36 @@ def view(
     out: Annotated[
         Path | None, typer.Option(help="Write here (HTML); by default in this folder, named after the first file.")
     ] = None,
-    live: Annotated[
-        bool, typer.Option("--live", help="Open a 3-D viewer for the browser on this machine, until Ctrl-C.")
-    ] = False,
-    port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Port of the viewer; if it is taken, the next free one is used.")
-    ] = 8080,
     rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
 ) -> None:
     """Draw surveys, maps or a registration.
 
-    Writes one HTML page that works offline, and prints its path on stdout. With --live, starts a 3-D viewer instead
-    and prints its address; with --rerun, writes a recording. With --out as well, does both. Surveys given with a
-    result are mapped with the result's settings.
+    Writes one HTML page that works offline, and prints its path on stdout. With --rerun, writes a recording instead;
+    with --out as well, both. Surveys given with a result are mapped with the result's settings.
     """
     from magmatch.data.formats.sniff import sniff
 
-    goal = out or (None if live or rerun else Path(files[0].stem + ".html"))
+    goal = out or (None if rerun else Path(files[0].stem + ".html"))
     check_outputs((rerun,), inputs=files, page=goal)
     # Before any work is done.
     if rerun is not None:
-        from magmatch.viz.viewers.rerun_recording import require_rerun
+        from magmatch.viz.rerun_recording import require_rerun
 
         require_rerun()
-    if live:
-        from magmatch.viz.viewers.live_viewer import require_viser
-
-        require_viser()
     results = [path for path in files if sniff(path) == "registration"]
-    drawn = [read_survey_or_map(path, layouts) for path in files if path not in results]
-    if len(results) > 1 or (results and len(drawn) not in {0, 2}):
+    others = [path for path in files if path not in results]
+    if len(results) > 1 or (results and len(others) not in {0, 2}):
         msg = (
             "expected surveys and maps, or one registration result, alone or with its base and target; "
-            f"found {len(results)} results and {len(drawn)} surveys or maps"
+            f"found {len(results)} results and {len(others)} surveys or maps"
         )
         raise ConfigurationError(msg)
-    if (live or rerun) and not drawn:
+    own = next((place for place in layouts.given if place[0]), None)
+    if own and not (results and others):
+        refuse(flag_of(*own), "a registration result with its base and target", "none")
+    sides = ("base", "target") if results else ("",) * len(others)
+    drawn = [read_survey_or_map(path, layouts, side) for path, side in zip(others, sides, strict=False)]
+    if rerun and not drawn:
         msg = "a registration result alone has nothing in space; give its base and target too"
         raise ConfigurationError(msg)
     result = read_result(results[0]) if results else None
@@ -84,13 +78,10 @@ def view(
         _write_page(goal, drawn, result)
         put(str(goal))
     if rerun is not None:
-        from magmatch.viz.viewers.exhibit import exhibit
-        from magmatch.viz.viewers.rerun_recording import write_rerun
+        from magmatch.viz.rerun_recording import scene_of, write_rerun
 
-        write_rerun(rerun, exhibit(drawn, result))
+        write_rerun(rerun, scene_of(drawn, result))
         put(str(rerun))
-    if live:
-        _serve(drawn, result, port)
 
 
 def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
@@ -117,17 +108,3 @@ def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "Registrat
     else:
         base, target = drawn or (None, None)
         write_report(goal, base, target, result)
-
-
-def _serve(drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None", port: int) -> None:
-    """Run the viewer until it is interrupted."""
-    from magmatch.viz.viewers.exhibit import exhibit
-    from magmatch.viz.viewers.live_viewer import address_of, serve
-
-    with serve(exhibit(drawn, result), port) as server:
-        try:
-            put(address_of(server))
-            say("Open this address in a browser; Ctrl-C ends the viewer")
-            server.sleep_forever()
-        except KeyboardInterrupt:
-            say("Viewer closed")

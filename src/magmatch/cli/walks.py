@@ -3,7 +3,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from magmatch.cli.command import Layouts
@@ -41,18 +40,15 @@ class OpenedWalk:
 
     def survey(self) -> "Survey":
         """The log with poses."""
-        from magmatch.data.read import read_survey
+        from magmatch.data.read import read_phone_on
         from magmatch.preparation.odometry.dead_reckon import dead_reckon
 
         if self.given is not None:
             return self.given
         assert self.phone is not None
         walk = dead_reckon(self.phone)
-        say(f"Dead reckoning: {len(walk.steps)} steps, {walk.length:.1f} m")
-        with TemporaryDirectory() as folder:
-            poses = Path(folder) / "walk.tum"
-            walk.trajectory.save(poses)
-            return read_survey(self.path, self.layout.model_copy(update={"trajectory": poses}))
+        say(f"Dead reckoning of {self.path.name}: {len(walk.steps)} steps, {walk.length:.1f} m")
+        return read_phone_on(self.path, self.layout, walk.trajectory)
 
 
 def open_walk(path: Path, layouts: Layouts, *, with_points: bool = False) -> OpenedWalk:

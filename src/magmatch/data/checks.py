@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Checks of a survey: impossible ones are refused, suspicious ones are reported."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,9 @@ import numpy as np
 from magmatch.arguments import expect_kind
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.sensor_axes import doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import GLOBAL_FRAME
 from magmatch.data.units import (
     TESLA_PER_UNIT,
     UNITS_PER_SECOND,
@@ -19,6 +21,7 @@ from magmatch.data.units import (
     likely_field_unit,
 )
 from magmatch.errors import SurveyError
+from magmatch.number_text import told
 from magmatch.typing import Indices, Scalars
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
@@ -81,6 +84,15 @@ def require_part(survey: Any, layout: SurveyFormat | None = None) -> None:
     survey.check()
     if len(survey):
         _require_possible_field(survey, layout)
+
+
+def require_one_frame(surveys: Sequence[Survey]) -> None:
+    """Refuse surveys for one map whose positions are about different origins on the globe."""
+    frames = list(dict.fromkeys(s.frame for s in surveys if s.frame.startswith(GLOBAL_FRAME)))
+    if len(frames) > 1:
+        origin = frames[0].removeprefix(GLOBAL_FRAME)
+        msg = f"expected surveys in one frame, found {frames[0]!r} and {frames[1]!r}; read all with --origin {origin}"
+        raise SurveyError(msg)
 
 
 def too_large(size: float) -> str:
@@ -146,7 +158,9 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
         size = float(extent(survey).max())
     if size > MAX_EXTENT:
         advice = "if the numbers are in mm or cm, divide them by 1000 or 100"
-        if layout is not None:
+        if survey.frame.startswith(GLOBAL_FRAME):
+            advice = "rows without a fix (latitude and longitude 0), or several places? leave such rows out"
+        elif layout is not None:
             advice = f"read as {layout.length_unit}; if the file is in mm or cm, use --length-unit mm (or cm)"
         message = f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; {advice}"
         raise _refuse(survey, message)
@@ -157,6 +171,8 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
 def _doubt_field(survey: Survey) -> Iterator[str]:
     if words := constant_field(survey):
         yield words
+    else:
+        yield from doubt_axes(survey)
     magnitude, (low, high) = np.linalg.norm(survey.field, axis=1), MEDIAN_FIELD
     for n, side, bound in (((magnitude < low).sum(), "below", low), ((magnitude > high).sum(), "above", high)):
         if n:
@@ -169,10 +185,11 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
     if size < ODD_EXTENT[0]:
         yield f"the positions span only {size:.3g} m: other units, or degrees of latitude and longitude?"
     elif 0 < float(extent(survey)[:2].max()) < ODD_EXTENT[0] and float(np.abs(survey.centroid[:2]).max()) > 1:
-        place = ", ".join(f"{v:.4g}" for v in survey.centroid[:2])
-        yield f"x and y hardly change around {place}: degrees of latitude and longitude? Project them to metres first"
+        place = ", ".join(told(v, 4, 1.0) for v in survey.centroid[:2])
+        yield f"x and y hardly change around {place}: degrees? State them: --columns lat=THEIRS,lon=..."
     elif size > ODD_EXTENT[1]:
-        yield f"the positions span {size / 1e3:.3g} km, read as {read_as}: millimetres (--length-unit mm)?"
+        found = f"the positions span {size / 1e3:.3g} km, read as {read_as}"
+        yield f"{found}: millimetres or centimetres (--length-unit)?"
     if words := odd_speed(survey):
         yield words
 
@@ -199,7 +216,7 @@ def _doubt_jumps(survey: Survey) -> Iterator[str]:
         steps = np.linalg.norm(survey.positions[rows + 1] - survey.positions[rows], axis=1)
         k = int(steps.argmax())
         more = f", and {len(rows) - 1} more" if len(rows) > 1 else ""
-        said = f"the position jumps by {steps[k]:.3g} m at {survey.times[rows[k]]:.9g} s{more}"
+        said = f"the position jumps by {steps[k]:.3g} m at {told(survey.times[rows[k]])} s{more}"
         yield f"{said}: odometry that lost itself, or two logs in one?"
 
 
@@ -226,7 +243,8 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
     if n_still > 0.05 * n:
         share = f"{100 * n_still / n:.0f} %"
         yield f"{share} of the samples repeat the position before them: at rest, or a pose rate below the field's?"
-    n_stuck = int((np.diff(survey.field, axis=0) == 0).all(axis=1).sum())
+    # Of a sensor that turns, readings that are held are turned with it.
+    n_stuck = int((find_repeats(survey.field) | find_repeats(sensor_readings(survey))).sum())
     if 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
 
@@ -235,7 +253,7 @@ def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
     unit = _likely_time_unit(survey) if read_as == "s" else None
     if unit is not None and survey.times is not None:
         step = float(np.median(np.diff(survey.times)))
-        span = f"times begin at {survey.times[0]:.9g} s, with a sample every {step:.4g} s"
+        span = f"times begin at {told(survey.times[0])} s, with a sample every {step:.4g} s"
         yield f"{span}: are they in {unit}? (--time-unit {unit})"
         return
     gaps = time_gaps(survey)

@@ -269,6 +269,6 @@ def _reason(error: Exception) -> str:
     response = getattr(error, "response", None)
     if response is not None:
         return f"HTTP status {response.status_code}"
-    if isinstance(error, PermissionError):
-        return f"no permission to write {error.filename}"
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:  # of the cache, not of the net
+        return f"{error.strerror}: {error.filename}; XDG_CACHE_HOME names another folder"
     return type(error).__name__

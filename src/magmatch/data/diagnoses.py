@@ -3,9 +3,9 @@
 
 One principle: the Earth's part of the field is the same vector everywhere, and neighbours measure nearly the same
 field. In the correct frame, vectors therefore scatter least, over the whole survey and between neighbours. Each known
-mistake is undone in turn; if that leaves less scatter than the declared frame, the mistake was made. Hard iron
-scatters even in the correct frame: if the Earth's field is visible beside a constant of the sensor, all candidates
-are compared after subtracting their best constants.
+mistake is undone in turn (`magmatch.data.frame_mistakes`). One that leaves less scatter than what is declared, and
+than all others, in the whole and in each third, was made; if the motion does not tell several apart, what they share
+is said.
 """
 
 import logging
@@ -13,47 +13,40 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.frame_mistakes import AXES, DECLARED, LESS, OWN, Found, Hypothesis, Turned, mistake_made, named
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
 from magmatch.errors import in_short
 from magmatch.geometry import path_walked
-from magmatch.typing import Points, Scalars, Vector3, Vectors
+from magmatch.typing import Scalars, Vector3, Vectors
 
 log = logging.getLogger(__name__)
 
-# Scatter with a mistake undone over that as declared, below which it was made: what is declared gets the benefit of a
-# tenth. Recordings: 1.17 and more where all is right, 0.85 and less where a frame is wrong (walked headings: 0.93).
-LESS = 0.9
 # Of the variance of directions, each of length one: from here on they are rather scattered than alike.
 HALF = 0.5
 # Mean vector over mean norm: Earth's field keeps it near one in a frame that stands still.
 TURNING = 0.5
-N_ASKED, N_NEIGHBOURS = 1500, 9
 # Steps of a path whose direction counts, m; shorter ones are sway.
 STRIDE = 0.5
 # Walked steps that a direction is told by.
 MIN_STEPS = 10
-OWN = "x, y, z"
-# Smallest singular value over the largest from which on directions of constants are told apart.
-DISTINCT = 1e-3
+# Ways of the axes that are listed where the motion does not tell which it is; more help nobody.
+MOST_WAYS = 4
 
 CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 # Deg; indoors steel bends a place's mean field by some tens of them.
 PLAUSIBLE_BEND = 35.0
-
-# A field, and the orientations that turned it.
-Turned = tuple[Vectors, Rotation]
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
     """One error of a survey."""
 
-    # ``field frame``, ``orientations``, ``two frames``, ``heading``, ``turning``, ``vertical`` or ``magnitude``
+    # ``field frame``, ``orientations``, ``axes``, ``two frames``, ``heading``, ``turning``, ``vertical``
+    # or ``magnitude``
     kind: str
     measured: str  # the evidence for it, and what to do
     remedy: str
@@ -69,6 +62,7 @@ class Diagnosis:
 
 # Mistakes that the field shows, by what undoes them: kind, how vectors read where it was made, remedy.
 MISTAKES = {
+    DECLARED: ("axes", "those of a sensor whose axes are swapped, reversed or mounted turned", ""),
     "sensor": ("field frame", "those of a sensor that turns", "use --field-frame sensor (in Python field_frame)"),
     "survey": ("field frame", "turned once too often", "use --field-frame survey (in Python field_frame)"),
     "inverse": ("orientations", "turned the wrong way", "orientations take sensor to survey axes: invert them"),
@@ -141,87 +135,104 @@ def _of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
 def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
     """Diagnose frames: rotated wrongly, the Earth's part of the field scatters; rotated correctly, it is constant."""
     walked, q, field = _Walked.of(survey), survey.orientations, survey.field
-    own, heading, undone = 0.0, "", {} if q is None else _without_mistakes(field, q)
+    own, heading, conventions = 0.0, "", {} if q is None else _conventions(field, q)
     if q is not None and walked is not None and (own := walked.variance(q, AXES[OWN])) >= HALF:
         turn, heading = walked.disagreement(q)
-        undone["heading"] = turn.apply(field), turn * q
+        conventions["heading"] = Turned(q.apply(field, inverse=True), turn * q, turn * q)
     elif q is None and walked is not None:
         q = Rotation.from_euler("z", walked.heading[:, None])
-        undone["carried"] = q.apply(field), q
-    mistake = None if q is None else _mistake_made(survey.positions, (field, q), undone)
-    if mistake is not None:
-        name, share = mistake
-        kind, words, remedy = MISTAKES[name]
-        measured = f"the field vectors look like {words}{heading if name == 'heading' else ''}"
-        yield Diagnosis(kind, f"{measured} (with that undone they scatter {share:.0%} as much)", remedy)
+        conventions = {DECLARED: Turned(field, None, q), "carried": Turned(field, q, q)}
+    found = mistake_made(survey.positions, conventions) if conventions else None
+    if found is not None:
+        yield _told(found, conventions, heading)
     elif survey.orientations is None:
         if np.linalg.norm(field.mean(axis=0)) < TURNING * np.linalg.norm(field, axis=1).mean():
             measured = "the field vectors point every way, as those of a sensor do that turns"
             yield Diagnosis("turning", measured, MISTAKES["carried"][2])
     elif own >= HALF and walked is not None:
-        spread, axes = min((walked.variance(survey.orientations, axes), name) for name, axes in AXES.items())
-        if spread < HALF * own:
-            words = f"the orientations' x, y, z look like the path's {axes}"
-            measured = f"positions and orientations are in two frames: {words}"
-            yield Diagnosis("two frames", measured, "give both in one frame")
+        yield from _of_two_frames(walked, survey.orientations, own)
 
 
-def _mistake_made(points: Points, declared: Turned, undone: Mapping[str, Turned]) -> tuple[str, float] | None:
-    """The mistake whose correction scatters least, and as what share of the declared; None if none does."""
-    scatter = _Scatter.of(points)
-    for free_iron in (True,) if _stands_still(*declared) else (False, True):
-        least, name = min((scatter(*turned, free_iron=free_iron), name) for name, turned in undone.items())
-        as_declared = scatter(*declared, free_iron=free_iron)
-        if least < LESS * as_declared:
-            return name, least / as_declared
-    return None
+def _of_two_frames(walked: "_Walked", orientations: Rotation, own: float) -> Iterator[Diagnosis]:
+    """Whether the path's directions are alike in the sensor's axes once the path's axes are others."""
+    spreads = {name: walked.variance(orientations, axes) for name, axes in AXES.items()}
+    least = min(spreads.values())
+    if least < HALF * own:
+        alike = [name for name, spread in spreads.items() if LESS * spread <= least]
+        words = f": the orientations' x, y, z look like the path's {alike[0]}" if len(alike) == 1 else ""
+        yield Diagnosis(
+            "two frames", f"positions and orientations are in two frames{words}", "give both in one frame"
+        )
 
 
-def _stands_still(field: Vectors, q: Rotation) -> bool:
-    """Whether a field like the Earth's is constant in the survey's frame, apart from a constant in the sensor's.
-
-    Along what the sensor does not turn about; about that, the two cannot be told apart.
-    """
-    columns = q.as_matrix()
-    both = np.concatenate([np.tile(np.eye(3), (len(field), 1)), columns.reshape(-1, 3)], axis=1)
-    earth, kept = np.linalg.lstsq(both, field.ravel(), rcond=DISTINCT)[0][:3], columns.mean(axis=0)
-    return bool(np.linalg.norm(earth - kept @ (kept.T @ earth)) > ORDINARY_FIELD[0])
-
-
-def _without_mistakes(field: Vectors, q: Rotation) -> dict[str, Turned]:
-    """The field in the survey frame, had each mistake been made, and what turned it."""
+def _conventions(field: Vectors, q: Rotation) -> dict[str, Turned]:
+    """As declared, and had each mistake been made: the readings, and what turns them."""
     read, numbers = q.apply(field, inverse=True), q.as_quat()
     first, last = (Rotation.from_quat(np.roll(numbers, k, axis=1)) for k in (-1, 1))
     return {
-        "sensor": (q.apply(field), q),
-        "survey": (read, q),
-        "inverse": (q.apply(read, inverse=True), q.inv()),
-        "scalar first": (first.apply(read), first),
-        "scalar last": (last.apply(read), last),
+        DECLARED: Turned(read, q, q, any_axes=True),
+        "sensor": Turned(field, q, q, any_axes=True),
+        "survey": Turned(read, None, q),
+        "inverse": Turned(read, q.inv(), q.inv(), any_axes=True),
+        "scalar first": Turned(read, first, first, any_axes=True),
+        "scalar last": Turned(read, last, last, any_axes=True),
     }
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scatter:
-    """Of vectors at given points: geometric mean of that over all and that between neighbours, T^2."""
+def _told(found: Found, conventions: Mapping[str, Turned], heading: str) -> Diagnosis:
+    """In words, what was found, and as much of the remedy as is certain."""
+    undone = f"(with that undone they scatter {found.share:.0%} as much)"
+    if found.mount is not None:
+        turn = np.degrees(found.mount.magnitude())
+        measured = f"the field vectors look like those of a sensor mounted turned by {turn:.0f} deg {undone}"
+        up = inclination_deg(conventions[DECLARED].mean(found.mount.as_matrix())) < -PLAUSIBLE_BEND
+        also = "; where the field points down, its axes are reversed, too" if up else ""
+        return Diagnosis("axes", measured, f"state how it is mounted: {_extrinsic(found.mount)}{also}")
+    first, name = found.hypotheses[0], found.hypotheses[0].convention
+    if any(one.convention != name for one in found.hypotheses):
+        measured = f"the field vectors look turned otherwise than declared {undone}"
+        remedy = "the motion does not tell how: check the sensor's axes, its mount (--extrinsic) and the orientations"
+        return Diagnosis("axes", measured, remedy)
+    kind, words, remedy = MISTAKES[name]
+    if first.axes == OWN:
+        measured = f"the field vectors look like {words}{heading if name == 'heading' else ''} {undone}"
+        return Diagnosis(kind, measured, remedy)
+    also = "" if name == DECLARED else f"{words}, and "
+    measured = f"the field vectors look like {also}{MISTAKES[DECLARED][1]} {undone}"
+    also = "" if name == DECLARED else f"{remedy}; "
+    return Diagnosis(kind, measured, also + _of_axes(found.hypotheses, conventions[name]))
 
-    first: np.ndarray
-    other: np.ndarray
 
-    @classmethod
-    def of(cls, points: Points) -> "_Scatter":
-        rows = np.linspace(0, len(points) - 1, min(N_ASKED, len(points))).astype(np.int64)
-        near = np.asarray(cKDTree(points[rows]).query(points[rows], k=min(N_NEIGHBOURS + 1, len(rows)))[1])[:, 1:]
-        return cls(np.repeat(rows, near.shape[1]), rows[near.ravel()])
+def _of_axes(alike: tuple[Hypothesis, ...], read: Turned) -> str:
+    """How to read the axes; which way the field points along z tells the sign that scatter does not."""
+    if len(alike) > MOST_WAYS:
+        return "the motion does not tell which way: state how the sensor is mounted (--extrinsic)"
+    ways = [_downward(AXES[one.axes], read) for one in alike]
+    listed = " or ".join(f"({named(axes)})" for axes in ways)
+    options = "--columns " + ",".join(f"b{x}={way}" for x, way in zip("xyz", _named_columns(ways[0]), strict=True))
+    if len(ways) > 1:
+        options = (
+            "the motion does not tell which, its data sheet or mount does (--columns with a minus, or --extrinsic)"
+        )
+    elif np.linalg.det(ways[0]) > 0:
+        options = f"{_extrinsic(Rotation.from_matrix(ways[0]))} or {options}"
+    also = "; where the field points up along z, as south of the magnetic equator, all three signs are reversed"
+    return f"x, y, z are {listed} of what is read: {options}{also}"
 
-    def __call__(self, field: Vectors, q: Rotation, *, free_iron: bool) -> float:
-        """Of a field and what turned it; where hard iron is free, without the best constant in the sensor's axes."""
-        if free_iron:
-            columns = q.as_matrix() - q.as_matrix().mean(axis=0)
-            offset = field - field.mean(axis=0)
-            field = field - q.apply(np.linalg.lstsq(columns.reshape(-1, 3), offset.ravel(), rcond=DISTINCT)[0])
-        between = ((field[self.first] - field[self.other]) ** 2).sum(axis=1).mean()
-        return float(np.sqrt(field.var(axis=0).sum() * between))
+
+def _downward(axes: np.ndarray, read: Turned) -> np.ndarray:
+    """The axes, or all of them reversed if the field would point up steeply, as in most of the places surveyed."""
+    return -axes if inclination_deg(read.mean(axes)) < -PLAUSIBLE_BEND else axes
+
+
+def _named_columns(axes: np.ndarray) -> list[str]:
+    """The field's columns that the rows are, such as ``-by``."""
+    return [way.replace(way[-1], f"b{way[-1]}") for way in named(axes).split(", ")]
+
+
+def _extrinsic(turn: Rotation) -> str:
+    """The option that states a mount."""
+    return f"--extrinsic '0 0 0 {' '.join(f'{v:.4f}' for v in turn.as_quat(canonical=True) + 0.0)}'"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -267,12 +278,3 @@ class _Walked:
         offset = np.degrees(np.arctan2(mean[1], mean[0]))
         words = f", spread {spread:.0f} deg about an offset of {offset:.0f} deg from the sensor's x"
         return Rotation.from_euler("z", turn[:, None]), words
-
-
-def _named(axes: np.ndarray) -> str:
-    """Which axes the rows are, such as ``-y, x, z``."""
-    return ", ".join(f"{'-' * int(row.min() < 0)}{'xyz'[np.abs(row).argmax()]}" for row in axes)
-
-
-# The 24 permutations and signs of the axes that stay right-handed.
-AXES = {_named(axes): axes for axes in np.rint(Rotation.create_group("O").as_matrix())}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magmatch.errors import ConfigurationError
+from magmatch.number_text import told
 from magmatch.typing import Matrix, Points, Scalars
 
 # The ellipsoid of WGS 84: semi-major axis in m, and squared eccentricity f (2 - f) of its flattening.
@@ -29,9 +30,23 @@ class Origin:
             raise ConfigurationError(msg)
 
     def __str__(self) -> str:
-        # Nine decimals of a degree are a tenth of a millimetre.
-        place = f"{self.latitude_deg:.9f},{self.longitude_deg:.9f}"
-        return f"{place},{self.altitude:.4f}" if self.altitude else place
+        return ",".join(
+            map(repr, [self.latitude_deg, self.longitude_deg, *([self.altitude] if self.altitude else [])])
+        )
+
+    @classmethod
+    def of(cls, text: str) -> "Origin":
+        """The origin that a text such as ``48.1372,11.5756,519`` states."""
+        try:
+            return cls(*map(float, text.split(",")))
+        except (TypeError, ValueError):
+            msg = f"origin: expected LATITUDE,LONGITUDE or LATITUDE,LONGITUDE,ALTITUDE; found '{text[:60]}'"
+            raise ConfigurationError(msg) from None
+
+    @classmethod
+    def near(cls, latitude_deg: float, longitude_deg: float, altitude: float) -> "Origin":
+        """An origin within a metre that is short enough to be typed."""
+        return cls(round(float(latitude_deg), 5), round(float(longitude_deg), 5), float(round(altitude)))
 
 
 def what_is_wrong(latitudes_deg: Scalars, longitudes_deg: Scalars) -> str:
@@ -39,7 +54,7 @@ def what_is_wrong(latitudes_deg: Scalars, longitudes_deg: Scalars) -> str:
     for name, degrees, most in (("latitude", latitudes_deg, 90), ("longitude", longitudes_deg, 360)):
         beyond = degrees[~(np.abs(degrees) <= most)]
         if len(beyond):
-            return f"found a {name} of {beyond[0]:g}, expected degrees within {-most} to {most}"
+            return f"found a {name} of {told(beyond[0])}, expected degrees within {-most} to {most}"
     return ""
 
 

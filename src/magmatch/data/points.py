@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Points and grids for ParaView and its kin: PLY and legacy VTK, binary, double precision."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import BinaryIO
 
 import numpy as np
 
+from magmatch.number_text import exact
 from magmatch.typing import Points, Scalars, Vector3
 
 AXES = "xyz"
@@ -37,8 +38,9 @@ def write_vtk_grid(
     """Write numbers on a regular grid (m), (nx, ny, nz) or (nx, ny, nz, 3), as legacy VTK (structured points)."""
     shape = [len(axis) for axis in axes]
     origin: Vector3 = np.array([axis[0] for axis in axes])
-    head = f"DIMENSIONS {spaced(shape)}\nORIGIN {spaced(origin.tolist())}\nSPACING {spaced([spacing] * 3)}"
-    stream.write(_vtk_head("STRUCTURED_POINTS") + head.encode())
+    head = (("DIMENSIONS", exact(shape)), ("ORIGIN", exact(origin)), ("SPACING", exact([spacing] * 3)))
+    lines = "\n".join(f"{word} {' '.join(numbers)}" for word, numbers in head)
+    stream.write(_vtk_head("STRUCTURED_POINTS") + lines.encode())
     # VTK counts x fastest.
     flat = {name: np.moveaxis(v, (0, 1, 2), (2, 1, 0)).reshape(-1, *v.shape[3:]) for name, v in values.items()}
     _write_vtk_values(stream, int(np.prod(shape)), flat)
@@ -57,8 +59,3 @@ def _write_vtk_values(stream: BinaryIO, n: int, values: Mapping[str, np.ndarray]
 
 def _big_endian(values: np.ndarray) -> bytes:
     return np.ascontiguousarray(values, dtype=">f8").tobytes()
-
-
-def spaced(numbers: Iterable[float]) -> str:
-    """Numbers of a text file, each to its last bit."""
-    return " ".join(map(repr, numbers))

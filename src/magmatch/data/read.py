@@ -15,7 +15,7 @@ from magmatch.data.formats.csv import read_survey_csv, recording_of_table, surve
 from magmatch.data.formats.euroc import read_euroc_field
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
-from magmatch.data.formats.mat import read_mat
+from magmatch.data.formats.mat import advice_for_arrays, read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import Sensor
 from magmatch.data.formats.phones.read import read_phone_log, read_phone_recording
@@ -34,7 +34,7 @@ _NOT_A_SURVEY: Mapping[FileKind, str] = {
     "map": "is a saved map, expected a survey; load it with FieldMap.load, its samples are in .survey",
     "registration": "is a registration result, expected a survey",
     "tum": "holds rows of 8 numbers without a header: a TUM trajectory has no field. Expected a survey CSV with a "
-    "header row; pass the trajectory beside it (--trajectory)",
+    "header row, or columns by number (--columns t=1,x=2,...); pass a trajectory beside it (--trajectory)",
 }
 
 
@@ -90,6 +90,12 @@ def read_survey_and_channels(
     return survey, recording.channels.at(survey.times, len(survey))
 
 
+def read_phone_on(path: str | Path, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
+    """Read and check the survey of a phone's log with poses that were worked out from it, in metres."""
+    survey, used = _read_phone(path, layout, trajectory=trajectory)
+    return _checked(path, replace(survey, name=Path(path).name), used)
+
+
 def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | None:
     """Read what a phone's magnetometer says without the phone's own calibration; None unless a log holds both."""
     if sniff(path) != "phone" or layout.columns:
@@ -124,13 +130,19 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 
 def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
-    kind = sniff(path)
-    if kind == "phone" and layout.columns and at_rest(path).is_file():
-        kind = "csv"  # the user knows the columns better
+    kind = kind_of(path, layout)
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
+    if layout.rate is not None and kind in {"log", "phone", "euroc"}:
+        raise DataFormatError(path, "holds times of its own: leave out --rate")
     survey, used = READERS[kind](path, layout)
     return replace(survey, name=Path(path).name), used
+
+
+def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:
+    """What a file is by its content; where columns are stated, any text is a table: its user knows it better."""
+    kind = sniff(path)
+    return "csv" if layout.columns and kind in {"phone", "tum"} and at_rest(path).is_file() else kind
 
 
 def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
@@ -139,15 +151,20 @@ def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyF
     return replace(survey, pose_sd=layout.pose_sd or 0.0), layout.settled(field_frame=recording.field_frame)
 
 
-def _read_phone(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> tuple[Survey, SurveyFormat]:
+def _read_phone(
+    path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None, trajectory: Trajectory | None = None
+) -> tuple[Survey, SurveyFormat]:
     """A phone's magnetometer: microtesla in the phone's axes, unless stated otherwise."""
     layout = layout.settled(field_unit="uT", field_frame="sensor")
-    return _joined(read_phone_recording(path, layout, sensor), layout)
+    return _joined(read_phone_recording(path, layout, sensor, trajectory), layout)
 
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
-    return _joined(recording_of_table(read_euroc_field(path), layout.settled(field_frame="sensor")), layout)
+    return _joined(
+        recording_of_table(read_euroc_field(path, recover=layout.recover), layout.settled(field_frame="sensor")),
+        layout,
+    )
 
 
 Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
@@ -157,7 +174,7 @@ READERS: Mapping[FileKind, Reader] = {
     "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
     "euroc": _read_euroc,
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
-    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout), layout),
+    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout, advice_for_arrays), layout),
     "phone": _read_phone,
     "log": lambda path, layout: _joined(read_log(path, layout), layout),
 }

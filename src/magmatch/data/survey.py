@@ -222,6 +222,7 @@ class Survey:
         frame: str | None = None,
         name: str = "DataFrame",
         pose_sd: float | None = None,
+        origin: str | None = None,
     ) -> "Survey":
         """Survey from a DataFrame (pandas, polars) with the columns of the survey CSV, rows in the given order.
 
@@ -229,7 +230,8 @@ class Survey:
         ----------
         df : DataFrame
             Columns ``x, y, z, bx, by, bz``, and ``t, qx, qy, qz, qw`` where known; others are ignored, and so is an
-            index that is not named as one of them. Times may be dates.
+            index, unless it is named as one of them, or there is no ``t`` and it holds increasing dates. Times may
+            be dates; ``lat, lon, alt`` (degrees, m) stand for ``x, y, z``.
         field_unit, length_unit, time_unit : str
             Units of the numbers: ``"uT"``, ``"mm"``, ``"ms"`` and so on.
         columns : dict of str to str, optional
@@ -238,6 +240,9 @@ class Survey:
             Frame of the field vectors; the sensor's needs orientations.
         frame, name, pose_sd
             See `Survey`; by default frame and accuracy are what columns ``survey_frame`` and ``pose_sd`` say.
+        origin : str, optional
+            ``"LATITUDE,LONGITUDE,ALTITUDE"`` at which x = y = z = 0, of samples with latitude and longitude; by
+            default near the first.
 
         Raises
         ------
@@ -254,7 +259,7 @@ class Survey:
         [2.1e-05, 0.0, -4.5e-05]
         """
         table = survey_table(df, name, time_unit, columns or {})
-        survey = cls.from_table(table, field_unit, length_unit, field_frame)
+        survey = cls.from_table(table, field_unit, length_unit, field_frame, origin)
         frame, pose_sd = frame or survey.frame, survey.pose_sd if pose_sd is None else pose_sd
         return replace(survey, frame=frame, name=name, pose_sd=pose_sd)
 
@@ -271,6 +276,7 @@ class Survey:
         frame: str | None = None,
         name: str = "Dataset",
         pose_sd: float | None = None,
+        origin: str | None = None,
     ) -> "Survey":
         """Survey from an xarray Dataset, with variables or coordinates named as the columns of the survey CSV.
 
@@ -280,7 +286,7 @@ class Survey:
             Samples along one dimension, or a grid, of which every point becomes a sample.
         field_unit, length_unit, time_unit : str, optional
             By default what the variables' attribute ``units`` says, else T, m and s.
-        columns, field_frame, frame, name, pose_sd
+        columns, field_frame, frame, name, pose_sd, origin
             See `from_dataframe`.
 
         Raises
@@ -301,6 +307,7 @@ class Survey:
             frame=frame,
             name=name,
             pose_sd=pose_sd,
+            origin=origin,
         )
 
     @classmethod
@@ -310,9 +317,10 @@ class Survey:
         field_unit: FieldUnit = "T",
         length_unit: LengthUnit = "m",
         field_frame: FieldFrame = "survey",
+        origin: str | None = None,
     ) -> "Survey":
         """Survey of a table's columns, times in s, named after the file."""
-        return cls(**survey_arguments(table, field_unit, length_unit, field_frame))
+        return cls(**survey_arguments(table, field_unit, length_unit, field_frame, origin))
 
     def _with(self, **changes: Any) -> "Survey":
         """The same survey but for some of its parts, which were checked before; it may be empty."""

@@ -2,15 +2,22 @@
 """Which columns a table of a survey has, and what a survey is made of them: files, DataFrames and Datasets alike."""
 
 import json
-from collections.abc import Mapping
+import logging
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from magmatch.arguments import found
+from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, what_is_wrong
 from magmatch.data.tables.frames import table_of_frame
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
+from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import (
     METRE_PER_UNIT,
     TESLA_PER_UNIT,
@@ -21,25 +28,120 @@ from magmatch.data.units import (
     size_of_unit,
 )
 from magmatch.errors import ConfigurationError, DataFormatError
-from magmatch.typing import Scalars
+from magmatch.typing import Points, Scalars
+
+logger = logging.getLogger(__name__)
 
 POSITION_COLUMNS = ("x", "y", "z")
 FIELD_COLUMNS = ("bx", "by", "bz")
 # These say the same in every row, and are written where they are not the defaults.
 FRAME_COLUMN, ACCURACY_COLUMN, DEFAULT_FRAME = "survey_frame", "pose_sd", "survey"
+# What the frame of places on the globe is called, followed by its origin.
+GLOBAL_FRAME = "east, north, up of "
 COLUMNS = ("t", *POSITION_COLUMNS, *FIELD_COLUMNS, *QUATERNION, ACCURACY_COLUMN)
+# Degrees and metres on the globe, by the names that loggers give them; of several the first is taken.
+GLOBAL_COLUMNS: Mapping[str, tuple[str, ...]] = {
+    "lat": ("lat", "latitude", "lat_deg", "latitude_deg"),
+    "lon": ("lon", "longitude", "lng", "long", "lon_deg", "longitude_deg"),
+    "alt": ("alt", "altitude", "alt_m", "altitude_m", "elevation", "height"),
+}
+# Of what a constant may be true: a walk on one height, a sensor that never turned. A field is measured.
+MAY_BE_CONSTANT = (*POSITION_COLUMNS, "alt", *QUATERNION)
 # Metadata of Parquet files, and first comment of older CSV files: the same two as JSON.
 SCHEMA = "magmatch.survey/1"
 FieldFrame = Literal["survey", "sensor"]
 
 
-def wanted_columns(theirs: Mapping[str, str]) -> dict[str, str]:
-    """Our names of all columns of a survey by the file's, which are alike where none is stated."""
-    return {**theirs, **{name: name for name in COLUMNS if name not in theirs.values()}}
+@dataclass(frozen=True, slots=True)
+class ChosenColumns:
+    """The columns of a table to read, and those that it lacks and one constant stands for."""
+
+    ours: Mapping[str, str]  # our names by the table's (lower case)
+    constants: Mapping[str, float]  # by our names
+
+    def of(self, table: Table) -> Table:
+        """Return the table with our names, and the constants as columns."""
+        return self.with_constants(table.renamed(self.ours))
+
+    def with_constants(self, table: Table) -> Table:
+        """Return a table that has our names with the constants as columns."""
+        return replace(table, columns=table.columns | {k: np.full(len(table), v) for k, v in self.constants.items()})
+
+
+def choose_columns(
+    path: str | Path, names: Sequence[str], stated: Mapping[str, str], *, has_poses: bool = True
+) -> ChosenColumns:
+    """Choose columns among those there, given what is stated for our names: a name of theirs, or a constant.
+
+    What is stated stands before what is guessed by name. Places on the globe are only looked for in a table that
+    `has_poses`, none of them in metres.
+    """
+    there = [name.lower() for name in names]
+    values = {ours: constant_of(text) for ours, text in stated.items() if text not in there}
+    constants = {ours: value for ours, value in values.items() if value is not None}
+    for ours in constants.keys() - MAY_BE_CONSTANT:
+        msg = (
+            f"columns: expected a column for {ours}, found the constant {stated[ours]}; numbers of columns begin at 1"
+        )
+        raise ConfigurationError(msg)
+    theirs: dict[str, str] = {}
+    for ours, text in stated.items():
+        if ours not in constants and theirs.setdefault(text, ours) != ours:
+            msg = f"columns: expected a column of its own for {ours}, found '{text}' for {theirs[text]} too"
+            raise ConfigurationError(msg)
+    require_stated(path, names, theirs)
+    chosen = theirs | _guessed([name for name in there if name not in theirs], stated, has_poses=has_poses)
+    for name in chosen:
+        if there.count(name) > 1:
+            raise DataFormatError(
+                path, f"the column appears {there.count(name)} times; rename the others", column=name
+            )
+    return ChosenColumns(chosen, constants)
+
+
+def _guessed(free: Sequence[str], stated: Collection[str], *, has_poses: bool) -> dict[str, str]:
+    """Our names of columns that nobody stated, by the table's; places on the globe where none are in metres."""
+    on_globe = {ours: next((n for n in names if n in free), "") for ours, names in GLOBAL_COLUMNS.items()}
+    has_metres = any(name in free or name in stated for name in ("x", "y"))
+    is_global = "lat" in stated or "lon" in stated or (on_globe["lat"] and on_globe["lon"] and not has_metres)
+    if not (is_global and has_poses):
+        return {name: name for name in COLUMNS if name not in stated and name in free}
+    hidden = {"x", "y", *stated, *(["alt"] if "z" in stated else [])}
+    guessed = {name: name for name in COLUMNS if name in free} | {n: ours for ours, n in on_globe.items() if n}
+    return {name: ours for name, ours in guessed.items() if ours not in hidden}
+
+
+def constant_of(text: str) -> float | None:
+    """The number that a text is, unless it counts columns: those are whole and begin at 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if isfinite(value) and not (text.isdecimal() and value >= 1) else None
+
+
+def column_numbers(stated: Mapping[str, str]) -> list[int]:
+    """Which columns are stated by number, counted from 1."""
+    return [int(text) for text in stated.values() if text.isdecimal() and int(text)]
+
+
+def position_columns(table: Table) -> tuple[str, str, str]:
+    """The columns of a table that its positions come from."""
+    if not (table.has("lat") or table.has("lon")):
+        return POSITION_COLUMNS
+    return "lat", "lon", "z" if table.has("z") and not table.has("alt") else "alt"
+
+
+def warn_of_unused_times(table: Table) -> None:
+    """Say so where a table has no column of times, but one whose name says that it holds some."""
+    for name in () if table.has("t") else table.names:
+        if header_of([name]).names == ("t",):
+            words = "%s: has no column t, and '%s' is left out; if it holds the times: --columns t=%s"
+            logger.warning(words, table.path, name, name)
 
 
 def survey_arguments(
-    table: Table, field_unit: FieldUnit, length_unit: LengthUnit, field_frame: FieldFrame
+    table: Table, field_unit: FieldUnit, length_unit: LengthUnit, field_frame: FieldFrame, origin: str | None = None
 ) -> dict[str, Any]:
     """Arguments of `Survey`, by name: of a table's columns, times in s."""
     if field_frame not in get_args(FieldFrame):
@@ -47,7 +149,8 @@ def survey_arguments(
         raise ConfigurationError(msg)
     tesla = size_of_unit(field_unit, TESLA_PER_UNIT, "field_unit")
     metre = size_of_unit(length_unit, METRE_PER_UNIT, "length_unit")
-    table.require([*POSITION_COLUMNS, *FIELD_COLUMNS])
+    names = position_columns(table)
+    table.require([*names, *FIELD_COLUMNS])
     if table.has("t"):
         table.require_increasing("t")
     orientations, field = rotations_of(table), table.stack(*FIELD_COLUMNS) * tesla
@@ -56,16 +159,53 @@ def survey_arguments(
             message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"
             raise DataFormatError(table.path, message)
         field = orientations.apply(field)
-    positions, times = table.stack(*POSITION_COLUMNS) * metre, table.columns.get("t")
-    samples = {"positions": positions, "field": field, "times": times, "orientations": orientations}
-    return {**samples, "name": table.path.name, **_about(table)}
+    about = _about(table)
+    if names == POSITION_COLUMNS:
+        positions = table.stack(*names) * metre
+    else:
+        positions, about["frame"] = local_positions(table, metre, origin)
+    samples = {"positions": positions, "field": field, "times": table.columns.get("t"), "orientations": orientations}
+    return {**samples, "name": table.path.name, **about}
+
+
+def local_positions(table: Table, metre: float, stated: str | None) -> tuple[Points, str]:
+    """Places on the globe in metres about an origin, and what the frame is called."""
+    lat, lon, height = table.columns["lat"], table.columns["lon"], table.columns[position_columns(table)[2]] * metre
+    if wrong := what_is_wrong(lat, lon):
+        raise DataFormatError(table.path, wrong, column="lat, lon")
+    is_altitude = table.has("alt")
+    origin = Origin.of(stated) if stated else Origin.near(lat[0], lon[0], height[0] if is_altitude else 0.0)
+    if not stated:
+        logger.warning(
+            "%s: positions are metres east, north and up of latitude, longitude, altitude %s; give other files the "
+            "same frame by --origin %s (in Python origin)",
+            table.path, origin, origin,
+        )  # fmt: skip
+    if is_altitude:
+        positions = local_east_north_up(lat, lon, height, origin)
+    else:
+        positions = np.column_stack([local_east_north(lat, lon, origin), height])
+    return positions, f"{GLOBAL_FRAME}{origin}"
+
+
+def origin_of(frame: str) -> str | None:
+    """The origin that the name of a frame states."""
+    return frame.removeprefix(GLOBAL_FRAME) if frame.startswith(GLOBAL_FRAME) else None
 
 
 def survey_table(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
     """Table of a DataFrame's columns (``theirs``: {ours: theirs}), times in s."""
-    table = table_of_frame(df, name, COLUMNS, theirs, texts=(FRAME_COLUMN,))
-    if table.has("t"):
-        table.columns["t"] = table.columns["t"] / size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
+    per_second = size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
+    table = table_of_frame(
+        df,
+        name,
+        (*COLUMNS, *GLOBAL_COLUMNS),
+        theirs,
+        lambda *given: choose_columns(name, *given),
+        per_second,
+        texts=(FRAME_COLUMN,),
+    )
+    warn_of_unused_times(table)
     return table
 
 

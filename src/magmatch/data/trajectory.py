@@ -8,10 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from magmatch.arguments import column_of, expect_path, expect_rotations, points_of, require_increasing
+from magmatch.brief import brief
 from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.tum import read_tum, write_tum
 from magmatch.errors import DataFormatError
+from magmatch.number_text import told
 from magmatch.typing import Mask, Points, Scalars
 
 
@@ -32,6 +34,8 @@ class Trajectory:
     times: Scalars
     positions: Points
     orientations: Rotation
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         positions = points_of(self.positions, "positions", "m", "pose")
@@ -69,7 +73,7 @@ class Trajectory:
         if outside.any():
             msg = (
                 f"{int(outside.sum())} of {len(times)} times lie outside the trajectory's "
-                f"{self.times[0]:.9g} to {self.times[-1]:.9g} s; drop them first (Trajectory.covers)"
+                f"{told(self.times[0])} to {told(self.times[-1])} s; drop them first (Trajectory.covers)"
             )
             raise ValueError(msg)
         hit = np.minimum(np.searchsorted(self.times, times), len(self) - 1)
@@ -90,7 +94,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | Path) -> "Trajectory":
-        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres.
+        """Read a TUM file: rows ``t x y z qx qy qz qw``, in seconds and metres, or as its header says.
 
         Raises
         ------

@@ -14,6 +14,8 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 TESLA_PER_UNIT: dict[FieldUnit, float] = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT": 1e-9, "G": 1e-4, "mG": 1e-7}
 METRE_PER_UNIT: dict[LengthUnit, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS_PER_SECOND: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+# As powers of ten.
+DIGITS_OF_SECOND: dict[TimeUnit, int] = {"s": 0, "ms": 3, "us": 6, "ns": 9}
 
 # The Earth's field is 22 to 67 uT at the surface (World Magnetic Model); indoors steel moves it by a factor of two
 # or so, hence the wider window in which a median magnitude is ordinary.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.brief import brief
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Matrix, Points, Scalars, Vectors
 
@@ -31,6 +32,8 @@ class Features:
     response: Scalars
     local_frames: Rotation | None
     descriptors: Matrix
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         return len(self.positions)

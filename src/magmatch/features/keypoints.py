@@ -10,6 +10,12 @@ from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.typing import Indices, Scalars, Tensors
 
+# The strongest responses, of either sign, make the mean; of each of this share of the points the map is asked whether
+# it knows more of the field than its prior: at least by half the standard deviation.
+_DECISIVE, _KNOWN = 0.2, 0.5
+# Responses beyond what this share stays below are counted as no more than that.
+_CLIPPED_TO = 0.99
+
 
 def magnitude_hessian(values: FieldValues) -> Tensors:
     """Second derivatives of the magnitude of the field.
@@ -45,7 +51,7 @@ def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scala
     """Points of X* with more than the mean response whose field is known well."""
     if not np.isfinite(response).any():
         return np.zeros(0, dtype=np.int64)
-    rows = np.flatnonzero(response > np.nanmean(response)).astype(np.int64)
+    rows = np.flatnonzero(response > threshold(field_map, points, response)).astype(np.int64)
     if not len(rows):
         return rows
     variance = block_variance(field_map, points, rows)
@@ -53,6 +59,22 @@ def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scala
     limit = np.quantile(variance, config.variance_quantile) * (1 + 1e-9)
     kept: Indices = rows[variance <= limit]
     return kept
+
+
+def threshold(field_map: FieldMap, points: InferencePoints, response: Scalars) -> float:
+    """Mean response, over what the samples tell: that where the map gives its prior is a basis running out.
+
+    The response is a product of three curvatures, hence a few points decide its mean. Where few negative ones
+    outweigh all others, the mean tells nothing: then it is that of clipped responses, and never negative.
+    """
+    size = np.abs(response)
+    rows = np.flatnonzero(size >= np.nanquantile(size, 1 - _DECISIVE)).astype(np.int64)
+    limit = (_KNOWN * field_map.hyperparameters.signal_sd) ** 2
+    told = np.delete(response, rows[block_variance(field_map, points, rows) > limit])
+    if not np.isfinite(told).any():
+        return 0.0
+    largest = np.nanquantile(np.abs(told), _CLIPPED_TO)
+    return float(max(np.nanmean(told), np.nanmean(np.clip(told, -largest, largest)), 0.0))
 
 
 def block_variance(field_map: FieldMap, points: InferencePoints, rows: Indices) -> Scalars:

@@ -8,6 +8,7 @@ from magmatch.arguments import expect_kind
 from magmatch.data.survey import Survey, subsets
 from magmatch.field.choose_and_fit import choose_and_fit
 from magmatch.field.config import FieldConfig
+from magmatch.field.excess import warn_of_excess
 from magmatch.field.given_surveys import surveys_of
 from magmatch.field.linear_model import Runner
 from magmatch.field.map import FieldMap
@@ -53,7 +54,9 @@ def build_map(
     config = FieldConfig() if config is None else config
     expect_kind(config, "config", (FieldConfig,), "FieldConfig(prior=...) makes one")
     with followed(progress):
-        return map_samples(surveys_of(survey), config, run)
+        built = map_samples(surveys_of(survey), config, run)
+    warn_of_excess(built, built.survey)
+    return built
 
 
 def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = map) -> FieldMap:

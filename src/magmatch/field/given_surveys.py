@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import cast
 
 from magmatch.arguments import found
-from magmatch.data.checks import require_part, require_survey
+from magmatch.data.checks import require_one_frame, require_part, require_survey
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 
@@ -20,5 +20,6 @@ def surveys_of(given: Survey | Sequence[Survey]) -> tuple[Survey, ...]:
         raise SurveyError(msg)
     for part in given:
         require_part(part)
+    require_one_frame(given)
     require_survey(given[0].merged(*given[1:]))
     return tuple(given)

@@ -17,12 +17,13 @@ from magmatch.arguments import (
     rows_chosen,
     whole_number_of,
 )
-from magmatch.data.checks import require_part
+from magmatch.data.checks import require_one_frame, require_part
 from magmatch.data.survey import Survey, subsets
 from magmatch.data.units import field_text
 from magmatch.errors import import_extra
 from magmatch.field.axis_grid import map_on_grid
 from magmatch.field.config import FieldConfig
+from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
@@ -243,9 +244,12 @@ class FieldMap:
         """
         for survey in surveys:
             require_part(survey)
+        require_one_frame([*self.surveys, *surveys])
         old, T_model_map = self._fitted(), self.T_map_model.inv()
         fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in surveys))
-        return self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)
+        grown = self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)
+        warn_of_excess(grown, grown.survey)
+        return grown
 
     def without_samples(self, is_out: Mask, run: Runner = map) -> "FieldMap":
         """Return this map as fitted without some samples (n,) of all surveys; frame and hyperparameters are kept.

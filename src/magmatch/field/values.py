@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.brief import brief
 from magmatch.geometry import rotate_tensors, rotate_third_order, rotate_vectors, rotation_matrix
 from magmatch.grid import RegularGrid
 from magmatch.typing import Mask, Points, Scalars, Tensors, ThirdOrder, Vectors
@@ -21,6 +22,8 @@ class FieldValues:
     gradient: Tensors | None = None  # (n, 3, 3), T/m: ``[i, a, b] = dB_a / dx_b``; present from order 1
     # (n, 3, 3, 3), T/m^2: ``[i, a, b, c] = d2 B_a / dx_b dx_c``; present from order 2
     second: ThirdOrder | None = None
+
+    __repr__ = brief
 
     def rotated(self, T_new_old: RigidTransform) -> "FieldValues":
         """Return the same values with their components in another frame."""

@@ -168,25 +168,36 @@ class Belief:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
         decision = self._config.decision
         self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere)
-        self.is_sure = self._found.best >= decision.min_probability and self._is_known_well(self._found.poses[0])
+        self._words = f"probability {in_words(self._found.best)}"
+        off = self._too_uncertain() if self._is_place_known() else ""
+        self.is_sure = self._is_place_known() and not off
         if self.is_sure:
             self._was_sure = True
-            self._words = f"probability {in_words(self._found.best)}"
-        else:
-            self._trail = []
-
-    def _is_known_well(self, one: Weighed) -> bool:
-        most = self._config.decision.max_sd(self._known.length)
-        return all(
-            sd <= limit
-            for sd, limit in zip(worst_sd(covariance_of(one.one, self._known, one.factor)), most, strict=True)
+            return
+        self._trail = []
+        self._words = (
+            f"the place is known ({self._words}), but the pose is too uncertain: {off}" if off else self._why()
         )
+
+    def _is_place_known(self) -> bool:
+        return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
+
+    def _too_uncertain(self) -> str:
+        """How far the best pose's standard deviations, in the worst direction, exceed the limits; nothing if not."""
+        best, most = self._found.poses[0], self._config.decision.max_sd(self._known.length)
+        sd = worst_sd(covariance_of(best.one, self._known, best.factor))
+        if all(one <= limit for one, limit in zip(sd, most, strict=True)):
+            return ""
+        (shift, turn), (shift_limit, turn_limit) = sd, most
+        words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
+        return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
 
     def estimate(self, T: Matrix) -> Estimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4)."""
         if not self.is_sure:
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
-            return Estimate(status, self._why(), probability=self._found.best)
+            is_known = self._is_place_known()
+            return Estimate(status, self._words, probability=self._found.best, is_place_known=is_known)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
         said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
         is_in = bool(self._window.fit[-1, 0]["is_known"])
@@ -194,7 +205,7 @@ class Belief:
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             self._words if is_in else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
-            self._known.name, float(said["gain"]),
+            self._known.name, float(said["gain"]), is_place_known=True,
         )  # fmt: skip
 
     def hypotheses(self) -> list[Hypothesis]:
@@ -204,11 +215,10 @@ class Belief:
         return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 
     def _why(self) -> str:
+        """Why the place is not known."""
         found = self._found
         if not found.poses:
             return "the body has moved too little, or nothing in the map resembles its path"
-        if found.best >= self._config.decision.min_probability:
-            return "the place is found, but not to the required accuracy"
         needed = self._config.decision.min_probability
         said = f"the best pose has probability {too_low(found.best)}, {needed:g} is needed"
         if found.rivals > found.null:

@@ -6,17 +6,25 @@ from enum import StrEnum
 
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.brief import brief
 from magmatch.geometry import transform_from_product
 from magmatch.typing import Covariance6, Matrix, Vector3
 
 
 class LocalizerStatus(StrEnum):
-    """Whether the pose is known, and how."""
+    """Whether the pose is known, and how; where it is not, the place may be (see `phase`)."""
 
     SEARCHING = "searching"  # it was never known
     LOCALIZED = "localized"  # by the field, to the required accuracy
     DEAD_RECKONING = "dead_reckoning"  # outside what the map knows, still to the required accuracy
     LOST = "lost"  # it was known, and is no longer
+
+
+def phase(status: LocalizerStatus, *, is_place_known: bool) -> str:
+    """What a part of a log is called: that the place is known is one thing, how well the pose is known another."""
+    if is_place_known and status in {LocalizerStatus.SEARCHING, LocalizerStatus.LOST}:
+        return "place known, pose too uncertain"
+    return status.replace("_", " ")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,7 +50,7 @@ class Estimate:
     covariance : (6, 6) array or None
         Of xi in ``T_true = T Exp(xi)``, rotation first (rad, m), body's axes.
     probability : float
-        That the best hypothesis is right.
+        That the best hypothesis has the right place, however accurate its pose is.
     bias, bias_sd : (3,) arrays or None, T
         Of the sensor, body's axes.
     scale : float or None
@@ -51,6 +59,8 @@ class Estimate:
         Name of the map.
     gain : float or None
         Ratio of the sensor's readings to those of the map's sensor.
+    is_place_known : bool
+        Whether that probability is high enough; no pose is stated all the same where its covariance is too large.
     """
 
     status: LocalizerStatus
@@ -63,6 +73,14 @@ class Estimate:
     scale: float | None = None
     map: str | None = None
     gain: float | None = None
+    is_place_known: bool = False
+
+    __repr__ = brief
+
+    @property
+    def phase(self) -> str:
+        """The status in words, in which a known place and an uncertain pose are told apart."""
+        return phase(self.status, is_place_known=self.is_place_known)
 
     @property
     def is_stated(self) -> bool:

@@ -7,8 +7,9 @@ from typing import Any
 
 from typing_extensions import TypedDict
 
+from magmatch.brief import brief
 from magmatch.data.document import TypedDocument
-from magmatch.localization.estimate import LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, phase
 from magmatch.registration.result import Count, Fraction, Length, Number, NumberOrNull, Three
 
 
@@ -32,6 +33,8 @@ class Segment:
     why : str
     map : str or None
         Which map, where the pose is stated.
+    is_place_known : bool
+        Whether the place is; the pose may be too uncertain to be stated all the same.
     """
 
     t0: Number
@@ -39,6 +42,12 @@ class Segment:
     status: LocalizerStatus
     why: str
     map: str | None = None
+    is_place_known: bool = False
+
+    @property
+    def phase(self) -> str:
+        """The status in words, in which a known place and an uncertain pose are told apart."""
+        return phase(self.status, is_place_known=self.is_place_known)
 
 
 class SensorResult(TypedDict):
@@ -95,6 +104,13 @@ class LocalizationResult(TypedDocument):
     version: str = ""
     seed: Count = 0
     inputs: tuple[dict[str, Any], ...] = ()
+
+    __repr__ = brief
+
+    @property
+    def is_place_known(self) -> bool:
+        """Whether the log ended at a known place with a pose too uncertain to be stated: that is not to be lost."""
+        return self.status is not LocalizationStatus.LOCALIZED and any(s.is_place_known for s in self.segments[-1:])
 
     @property
     def is_localized(self) -> bool:

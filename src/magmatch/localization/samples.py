@@ -10,6 +10,7 @@ import numpy as np
 from magmatch.arguments import found, numbers_of
 from magmatch.compiled import compiled
 from magmatch.data.checks import MAX_FIELD, too_large
+from magmatch.number_text import told
 from magmatch.typing import Matrix, Vector3
 
 # A body that moves faster has not moved: its odometry began anew, m/s (and m, of clocks that jitter).
@@ -86,7 +87,7 @@ class Samples:
         elif fault == LARGE_FIELD:
             msg = too_large(math.sqrt(one["next_z"] @ one["next_z"]))
         elif fault == BACKWARD:
-            msg = f"t: expected a time after {one['t']:.9g} s, got {one['next_t']:.9g}"
+            msg = f"t: expected a time after {told(one['t'])} s, got {told(one['next_t'])}"
         else:
             T, p = one["next_T"], one["p_given"]
             step = f"{math.dist(T[:3, 3], p):.3g} m in {one['next_t'] - one['t']:.3g} s"

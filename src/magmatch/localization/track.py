@@ -46,6 +46,10 @@ class Track:
     config: LocalizerConfig
     seconds: dict[str, float]
 
+    def __repr__(self) -> str:
+        n = int(self.is_stated.sum())
+        return f"Track of {self.log.name!r}: a pose for {n} of {len(self.estimates)} samples, {len(self.maps)} maps"
+
     @property
     def is_stated(self) -> Mask:
         """Where a pose is stated, (n,)."""
@@ -53,8 +57,9 @@ class Track:
 
     @property
     def poses(self) -> RigidTransform:
-        """The stated ones, ``T_map_body``; at least one."""
-        return RigidTransform.concatenate([e.T_map_body for e in self.estimates if e.T_map_body is not None])
+        """The stated ones, ``T_map_body``, at ``log.times[is_stated]``: fewer than the log's, or none at all."""
+        stated = [e.T_map_body for e in self.estimates if e.T_map_body is not None]
+        return RigidTransform.concatenate(stated) if stated else RigidTransform.from_matrix(np.zeros((0, 4, 4)))
 
     def save(self, path: str | Path, odometry: Trajectory | None = None) -> None:
         """Write the stated poses as TUM, on the log's clock; where there are none, a file without lines of data.
@@ -123,8 +128,12 @@ class Track:
         times = self.log.times
         assert times is not None
         found = []
-        for _, rows in groupby(range(len(times)), key=lambda n: (self.estimates[n].status, self.estimates[n].map)):
+
+        def kind(n: int) -> tuple[str, str | None]:
+            return self.estimates[n].phase, self.estimates[n].map
+
+        for _, rows in groupby(range(len(times)), key=kind):
             part = list(rows)
-            e = self.estimates[part[0]]
-            found.append(Segment(float(times[part[0]]), float(times[part[-1]]), e.status, e.reason, e.map))
+            e, t0, t1 = self.estimates[part[0]], float(times[part[0]]), float(times[part[-1]])
+            found.append(Segment(t0, t1, e.status, e.reason, e.map, e.is_place_known))
         return found

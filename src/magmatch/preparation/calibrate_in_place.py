@@ -3,10 +3,12 @@
 
 import numpy as np
 
+from magmatch.data.sensor_axes import find_stuck
 from magmatch.errors import SurveyError
 from magmatch.preparation.blocks import model_of
 from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.least_squares import MEDIAN_TO_SD, Block, Solution, System, student_weights
+from magmatch.preparation.plausible import why_no_field, why_no_sensor
 from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
 from magmatch.typing import Scalars, Vector3, Vectors
 
@@ -53,7 +55,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
         weights = student_weights((solution.free[:, 0] / solution.noise_sd) ** 2, 1)
         if np.abs(model.shift - before.shift).max() < CONVERGED:
             break
-    _require_one_field(model.corrected(readings))
+    _require_sensor(readings, model, solution)
     return model, solution
 
 
@@ -69,7 +71,15 @@ def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:
     return np.asarray(center), student_weights((misfit / (MEDIAN_TO_SD * np.median(misfit))) ** 2, 1)
 
 
-def _require_one_field(corrected: Vectors) -> None:
+def _require_sensor(readings: Vectors, model: SensorModel, solution: Solution) -> None:
+    """Refuse a correction that no sensor needs, or that leaves no one field."""
+    corrected = model.corrected(readings)
+    # The axis that a sensor was turned about reads one value, too: its offset stays open.
+    stuck = [axis for axis in find_stuck(readings) if not solution.is_open["hard_iron"][axis]]
+    why = f"the sensor's {'xyz'[stuck[0]]} axis is stuck or at the end of its range" if stuck else ""
+    if why := why or why_no_sensor(model) or why_no_field(readings, corrected):
+        msg = f"{why}; turn the sensor about in one place, away from steel"
+        raise SurveyError(msg)
     magnitude = np.linalg.norm(corrected, axis=1)
     misfit = MEDIAN_TO_SD * float(np.median(np.abs(magnitude - np.median(magnitude)))) / float(np.median(magnitude))
     if misfit > WORST_FIT:

@@ -10,11 +10,12 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
-from magmatch.preparation.consistency import MapConsistency, held_out_error
+from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
 from magmatch.preparation.least_squares import Block, Solution, System, student_weights
+from magmatch.preparation.plausible import why_no_sensor
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.time_offset import LENGTHSCALE_IN_SPACINGS, coarse_settings, search_time_offset
+from magmatch.preparation.time_offset import coarse_settings, search_time_offset
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
 from magmatch.typing import Mask, Scalars, Vectors
@@ -27,8 +28,6 @@ MOST_STEPS = 8
 # Steps of the clock, in its standard deviations, that no data could tell from none.
 CONVERGED = 0.1
 FEWEST_READINGS = 100
-# How much larger the error of left-out stretches may seem after a correction; it is itself an estimate.
-TOLERATED = 1.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -44,10 +43,20 @@ class Calibration:
     # (float, float), T: of the log as it is, and with the correction; against maps of the same settings
     inconsistency: tuple[float, float]
     hyperparameters: Hyperparameters  # of the map that everything was held against
-    # Whether the correction was withdrawn because a map predicts held-out stretches worse with it
-    is_refused: bool = False
+    refused: str = ""  # why the correction was withdrawn, in words; empty if it was not
+    # s: an offset of the clocks beyond those that were searched, which is none
+    beyond: float | None = None
     # (float, float), T: median error of a map on held-out stretches, as read and with the correction
     held_out: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether the correction was withdrawn."""
+        return bool(self.refused)
+
+    def withdrawn(self, why: str) -> "Calibration":
+        """The same without a correction, if there is a reason in words."""
+        return replace(self, model=SensorModel(), refused=why) if why else self
 
 
 @single_threaded
@@ -64,23 +73,26 @@ def calibrate(
         return None
     rows = rows[:: -(-len(rows) // config.n_samples)]
     part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
-    tell("looking for the offset between the clocks")
     sizes = sizes_of(config, switches)
-    offset, rough = search_time_offset(part, largest, sizes)
-    start = replace(model_of(rough.estimate, {}), time_offset=offset)
-    estimator = _Estimator(part, values, sizes, coarse_settings(part.positions))
-    tell("calibrating against a map of the place")
+    start = _rough_model(part, largest, sizes)
+    estimator = _Estimator(part, values, sizes, coarse_settings(part.positions), largest)
+    tell("calibrating against a coarse map of the place")
     # A coarse map takes most of the way, so that the settings of a fine one are chosen once.
     start, _ = estimator.refined(start, set(switches))
     estimator.choose_settings(start)
     model, system = estimator.refined(start, set(switches))
     full = system.solve(switches)
-    active, chosen = set(switches), full
+    active, chosen, beyond = set(switches), full, None
     while dropped := _least_shown(chosen, active, switches, config.significance):
         active.discard(dropped)
         chosen = system.solve(active)
     if active and len(active) < len(switches):
         model, system = estimator.refined(model_of(chosen.estimate, values), active)
+        chosen = system.solve(active)
+    if "time_offset" in active and abs(chosen.estimate["time_offset"][0]) > largest:
+        # Where no pose may be any more, there is no offset.
+        beyond, active = float(chosen.estimate["time_offset"][0]), active - {"time_offset"}
+        model, system = estimator.refined(replace(model, time_offset=0.0), active)
         chosen = system.solve(active)
     calibration = Calibration(
         model_of(chosen.estimate, values),
@@ -90,8 +102,16 @@ def calibrate(
         estimator.watched(model, active) if config.currents.mode == "flag" else {},
         (_rms(estimator.as_read()), _rms(chosen.residual)),
         estimator.hyperparameters,
+        beyond=beyond,
     )
     return _held_to_account(calibration, part, values)
+
+
+def _rough_model(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
+    """Where the estimate begins."""
+    tell("looking for the offset between the clocks")
+    offset, rough = search_time_offset(part, largest, sizes)
+    return replace(model_of(rough.estimate, {}), time_offset=offset)
 
 
 def _rms(residual: Vectors) -> float:
@@ -99,15 +119,19 @@ def _rms(residual: Vectors) -> float:
 
 
 def _held_to_account(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> Calibration:
-    """The calibration with its errors on held-out stretches; withdrawn if a map predicts them worse with it."""
-    errors = []
+    """The calibration with a map's errors on held-out stretches; withdrawn if they grow or no sensor is like that."""
+    errors, spreads = [], []
     for model in (SensorModel(), calibration.model):
         positions, orientations = part.at(model.time_offset)
-        field = orientations.apply(model.corrected(part.readings, channels))
-        errors.append(held_out_error(positions, field, calibration.hyperparameters))
-    if errors[1] > TOLERATED * errors[0]:
-        calibration = replace(calibration, model=SensorModel(), is_refused=True)
-    return replace(calibration, held_out=(errors[0], errors[1]))
+        readings = model.corrected(part.readings, channels)
+        errors.append(held_out_error(positions, orientations.apply(readings), calibration.hyperparameters))
+        # In the sensor's frame no constant counts: what is left is the field, in which the sensor turned and moved.
+        spreads.append(float(np.sqrt(readings.var(axis=0).sum())))
+    why = why_no_sensor(calibration.model)
+    # Errors count relative to what varies: without a field there would be none.
+    if not why and errors[1] * spreads[0] > errors[0] * spreads[1]:
+        why = "a map predicts held-out stretches worse with it"
+    return replace(calibration.withdrawn(why), held_out=(errors[0], errors[1]))
 
 
 def switches_of(
@@ -146,32 +170,39 @@ class _Estimator:
     """Repeated linearisation against a map of given settings."""
 
     def __init__(
-        self, part: SensorLog, channels: Mapping[str, Scalars], sizes: Mapping[str, float], settings: Hyperparameters
-    ) -> None:
+        self, part: SensorLog, channels: Mapping[str, Scalars], sizes: Mapping[str, float], settings: Hyperparameters,
+        largest: float,
+    ) -> None:  # fmt: skip
         self.part, self.channels, self.sizes, self.hyperparameters = part, channels, sizes, settings
+        self.largest = largest  # s: for offsets up to this all readings have poses
         self.weights = np.ones(len(part))
 
     def refined(self, model: SensorModel, active: set[str]) -> tuple[SensorModel, System]:
         """Model at which linearising again changes nothing, and the last linear system."""
+        model = self._within(model)
         for step in range(MOST_STEPS):
             before = model.time_offset
             system = self._linearised(model, active)
             solution = system.solve(active)
-            model = model_of(solution.estimate, self.channels)
+            model = self._within(model_of(solution.estimate, self.channels))
             self.weights = student_weights((solution.free**2).sum(axis=1) / solution.noise_sd**2, 3)
             sd = solution.sd["time_offset"][0] if "time_offset" in active else np.inf
             if step > 0 and abs(model.time_offset - before) < CONVERGED * sd:
                 break
         return model, system
 
+    def _within(self, model: SensorModel) -> SensorModel:
+        """The model with an offset of the clocks for which all readings have poses."""
+        return replace(model, time_offset=float(np.clip(model.time_offset, -self.largest, self.largest)))
+
     def choose_settings(self, model: SensorModel) -> None:
         """Settings of a map of the field as corrected so far, which forgets what a coarser one disagreed with."""
+        tell("choosing the settings of a fine map")
         positions, orientations = self.part.at(model.time_offset)
         field = orientations.apply(model.corrected(self.part.readings, self.channels))
-        h = choose_spline_hyperparameters(positions, field)
-        # Closer splines are for maps: they cost most of the time and change estimates by less than their errors.
-        h = replace(h, spacing=max(h.spacing, h.lengthscale / LENGTHSCALE_IN_SPACINGS))
+        h = affordable(positions, choose_spline_hyperparameters(positions, field))
         self.hyperparameters, self.weights = h, np.ones(len(field))
+        tell("calibrating against a fine map of the place")
 
     def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
         """What was kept and one more channel at a time, so that channels change no other estimate."""

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from magmatch.data.survey import Survey
 from magmatch.preparation.blocks import CHANNEL
 from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.config import PreparationConfig
@@ -21,8 +20,8 @@ NEGLIGIBLE = 0.01  # uT, %, deg
 
 
 def calibration_steps(
-    survey: Survey, sensor_log: SensorLog | None, calibration: Calibration | None, config: PreparationConfig,
-    channels: Mapping[str, Scalars],
+    sensor_log: SensorLog | None, calibration: Calibration | None, config: PreparationConfig,
+    channels: Mapping[str, Scalars], why_not: str,
 ) -> list[StepReport]:  # fmt: skip
     """Reports of the time offset, hard iron, soft iron, misalignment and each channel."""
     c = config.calibration
@@ -36,7 +35,7 @@ def calibration_steps(
         if mode == "off":
             steps.append(StepReport(label, "off", ""))
         elif calibration is None or name not in calibration.full.estimate:
-            steps.append(StepReport(label, "unknown", _why_not(name, survey, sensor_log)))
+            steps.append(StepReport(label, "unknown", _why_not(name, sensor_log, why_not)))
         else:
             steps.append(_error_report(name, label, calibration))
     if config.currents.mode != "off" and calibration is not None:
@@ -63,20 +62,20 @@ def _held_out_step(calibration: Calibration) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
     before, after = (value / MICROTESLA for value in calibration.held_out)
     if calibration.is_refused:
-        words = "held-out stretches are predicted worse with the corrections, so none was applied"
+        words = f"withdrawn, none was applied: {calibration.refused}"
         return StepReport("all corrections", "unchanged", words, before, after, "uT")
     outcome: Outcome = "unchanged" if calibration.model.is_identity else "applied"
     words = "median error of a map on held-out stretches"
     return StepReport("all corrections", outcome, words, before, after, "uT")
 
 
-def _why_not(name: str, survey: Survey, sensor_log: SensorLog | None) -> str:
+def _why_not(name: str, sensor_log: SensorLog | None, why_not: str) -> str:
     """Why nothing could be estimated."""
     if sensor_log is None:
         return "needs orientations (columns qx, qy, qz, qw, or a trajectory): sensor errors turn with the sensor"
     if name == "time_offset" and sensor_log.times is None:
         return "needs times"
-    return f"too few samples to tell ({len(survey)})"
+    return why_not
 
 
 def _error_report(name: str, label: str, calibration: Calibration) -> StepReport:
@@ -86,8 +85,11 @@ def _error_report(name: str, label: str, calibration: Calibration) -> StepReport
     estimate, sd, is_open = solution.estimate[name], solution.sd[name], solution.is_open[name]
     outcome: Outcome = "applied" if is_kept else "unknown" if is_open.all() else "unchanged"
     words = _estimate_text(name, estimate, sd, is_open)
-    if outcome == "unchanged":
-        words += "; a map predicts held-out stretches worse with it" if calibration.is_refused else "; not shown"
+    if name == "time_offset" and calibration.beyond is not None:
+        outcome = "unknown"
+        words = f"{1e3 * calibration.beyond:+.0f} ms would be more than was searched (time_offset.largest): none"
+    elif outcome == "unchanged":
+        words += "; withdrawn with all corrections" if calibration.is_refused else "; not shown"
     figures = {
         "estimate": estimate.tolist(), "sd": sd.tolist(), "is_open": is_open.tolist(),
         "p_value": calibration.full.p_value[name], "inconsistency_as_read": calibration.inconsistency[0],

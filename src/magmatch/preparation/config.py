@@ -72,6 +72,9 @@ class ResamplingConfig(Settings):
 class PreparationConfig(Settings):
     """Settings of `magmatch.preparation.prepare.prepare`."""
 
+    # m: of the samples of each step of the way only the first is used and kept; None takes all. Motion capture and
+    # fast sensors give thousands to a metre, which tell no more and cost time.
+    thin: float | None = Field(default=None, gt=0)
     # Jumps of the sensor's own calibration, as phones have them. off: not looked for. auto: the log is cut there.
     recalibration: Literal["off", "auto"] = "auto"
     time_offset: TimeOffsetConfig = TimeOffsetConfig()

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whether field vectors are consistent with one place: what no map explains, and its errors on held-out samples."""
 
+import logging
+from dataclasses import replace
+
 import numpy as np
 
+from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.cholesky.factors import Factors
 from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.folds import path_segments
@@ -10,10 +14,43 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_basis import FIRST
 from magmatch.field.spline.spline_kernels import add_right_hand_sides
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
+from magmatch.field.tiles.region_model import MOST_OPERATIONS
 from magmatch.typing import Points, Scalars, Tensors, Vectors
+
+log = logging.getLogger(__name__)
 
 # Stretches left out of a map; long enough that their ends do not predict their middle.
 STRETCH_IN_LENGTHSCALES = 3.0
+# Splines lie this many to a lengthscale: closer ones are for maps, cost most of the time and change estimates by less
+# than their errors.
+LENGTHSCALE_IN_SPACINGS = 2.5
+# Cells of a map in one piece, which at 8 kB each take half a gigabyte with their factor; and the next spacing tried.
+MOST_CELLS, COARSER = 60_000, 1.25
+
+
+def affordable(points: Points, hyperparameters: Hyperparameters) -> Hyperparameters:
+    """The settings, coarsened until a map of the points in one piece takes about a second and bounded memory.
+
+    Samples as close as motion capture gives them ask for lengths far below the distance between passes of a place.
+    """
+    h = hyperparameters
+    h = replace(h, spacing=max(h.spacing, h.lengthscale / LENGTHSCALE_IN_SPACINGS))
+    while not _is_affordable(points, h):
+        spacing = COARSER * h.spacing
+        h = replace(h, spacing=spacing, lengthscale=max(h.lengthscale, LENGTHSCALE_IN_SPACINGS * spacing))
+    if h.lengthscale > hyperparameters.lengthscale:
+        change = hyperparameters.lengthscale, h.lengthscale
+        log.warning(
+            "a map in detail of %.2g m is too large, %.2g m are taken; --thin METRES takes fewer samples", *change
+        )
+    return h
+
+
+def _is_affordable(points: Points, h: Hyperparameters) -> bool:
+    """Whether one factor holds a map, estimated before any of its memory is taken."""
+    if count_active_cells(points, h.spacing, h.reach) > MOST_CELLS:
+        return False
+    return SplineModel.over(points, h).elimination.n_operations <= MOST_OPERATIONS
 
 
 class MapConsistency:

@@ -5,6 +5,7 @@ import numpy as np
 from scipy.ndimage import label, median_filter
 from scipy.stats import chi2
 
+from magmatch.data.sensor_axes import at_limit
 from magmatch.field.folds import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
@@ -15,8 +16,6 @@ from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 NEIGHBOURS = 3
 # Rounds of weighing down what disagrees with the map.
 ROUNDS = 3
-# Readings at one and the same largest value before it is the sensor's range.
-FEWEST_AT_LIMIT = 5
 # Metal that moved: median residual of a run, in standard deviations, and the run's length.
 CONTRADICTION, FEWEST_IN_RUN = 4.0, 9
 # Groups by steepness of the field, whose residuals tell how errors grow with it, and their samples.
@@ -48,24 +47,9 @@ def find_spikes(
     return is_odd & find_jumps(field, threshold) if in_order else is_odd
 
 
-def find_repeats(readings: Vectors) -> Mask:
-    """Readings equal to the one before, up to the rounding of a turn to and fro."""
-    is_same = np.zeros(len(readings), dtype=bool)
-    size = np.linalg.norm(readings[1:], axis=1)
-    is_same[1:] = np.linalg.norm(np.diff(readings, axis=0), axis=1) <= 1e-12 * size
-    return is_same
-
-
 def find_saturation(readings: Vectors) -> Mask:
-    """Readings at the end of the sensor's range: more at one largest value than at the next three."""
-    is_saturated = np.zeros(len(readings), dtype=bool)
-    for values in readings.T:
-        for signed in (values, -values):
-            # Distinct values from the largest down: noise thins out toward its end, a limit piles up there.
-            values_down, counts = np.unique(-signed, return_counts=True)
-            if counts[0] >= FEWEST_AT_LIMIT and counts[0] > counts[1:4].sum() > 0:
-                is_saturated |= -signed == values_down[0]
-    return is_saturated
+    """Readings of which a component is at the end of the sensor's range."""
+    return np.asarray(at_limit(readings).any(axis=1))
 
 
 def find_contradictions(points: Points, field: Vectors, hyperparameters: Hyperparameters) -> Mask:

@@ -17,6 +17,8 @@ PLAUSIBLE_RATIO = (0.6, 1.6)
 # The 14th generation of the model holds for these years.
 FIRST_YEAR, LAST_YEAR = 1900, 2030
 NANOTESLA = 1e-9
+# At a pole no direction is east, and the model divides by zero; nearer than 0.1 m it is not asked.
+MOST_LATITUDE_DEG = 90 - 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +76,14 @@ def earth_field(place: Place) -> np.ndarray:
     """Earth's field of the IGRF."""
     ppigrf = import_extra("ppigrf", "the check against the Earth's field", "igrf")
     when = datetime(place.day.year, place.day.month, place.day.day)
-    components = ppigrf.igrf(place.longitude_deg, place.latitude_deg, place.height / 1e3, when)
+    latitude = float(np.clip(place.latitude_deg, -MOST_LATITUDE_DEG, MOST_LATITUDE_DEG))
+    components = ppigrf.igrf(place.longitude_deg, latitude, place.height / 1e3, when)
     return np.array([float(np.ravel(c)[0]) for c in components]) * NANOTESLA
 
 
 def _ratio_advice(ratio: float) -> str:
     """What a wrong magnitude most likely means."""
-    power = np.log10(ratio)
+    power = np.log10(ratio) if ratio > 0 else 0.0
     if abs(power - round(power)) < 0.25 and round(power) != 0:
         return f"a unit that is off by 10^{round(power)} (--field-unit)?"
     return "strong steel nearby, hard iron left, or another place?"

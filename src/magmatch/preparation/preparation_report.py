@@ -10,6 +10,7 @@ from pydantic_core.core_schema import no_info_after_validator_function
 from typing_extensions import TypedDict
 
 from magmatch._version import __version__
+from magmatch.brief import brief
 from magmatch.data.document import TypedDocument
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
@@ -62,6 +63,8 @@ class PreparationReport(TypedDocument):
     sensor: Annotated[SensorModel, READ_SENSOR]
     inputs: tuple[Mapping[str, str], ...]  # name and SHA-256 of the files, where known
     version: str  # of the package
+
+    __repr__ = brief
 
     def __getitem__(self, step: str) -> StepReport:
         """Report of one step by its name."""

@@ -11,12 +11,15 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.earth_field import Place, earth_step
-from magmatch.preparation.preparation_report import PreparationReport, report_on
+from magmatch.preparation.preparation_report import PreparationReport, StepReport, report_on
 from magmatch.preparation.sensor_estimate import estimate_sensor
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.preparation.survey_steps import find_disturbances, resampling_step
+from magmatch.preparation.survey_steps import checked_channels, find_disturbances, resampling_step, thinned
 from magmatch.progress import Progress, followed
 from magmatch.typing import Scalars
+
+# Why nothing is calibrated where vectors or poses are not in the frames that are declared.
+WRONG_FRAME = "vectors or poses are in another frame than declared, as the warning says; no calibration corrects that"
 
 
 def prepare(
@@ -61,18 +64,26 @@ def prepare(
         Nothing is left after removing disturbances.
     """
     require_survey(survey)
-    warn([survey])
+    is_wrong = any(one.is_of_frames for one in warn([survey]))
     config = config or PreparationConfig()
     expect_kind(config, "config", (PreparationConfig,))
     if trajectory is not None:
         expect_kind(trajectory, "trajectory", (Trajectory,), "Trajectory.load reads one from a TUM file")
+    channels = checked_channels(channels or {}, len(survey))
+    given, steps = survey, list[StepReport]()
+    if config.thin is not None:
+        survey, channels, steps = thinned(survey, channels, config.thin)
+        require_survey(survey)
     with followed(progress):
-        estimated = estimate_sensor(survey, trajectory, channels or {}, sensor, config)
-    corrected, rows = estimated.correct(survey)
-    kept, disturbances = find_disturbances(corrected, estimated.readings(survey)[rows], estimated.calibration, config)
+        estimated = estimate_sensor(
+            survey, trajectory, channels, sensor, config, why_not=WRONG_FRAME if is_wrong else ""
+        )
+        corrected, rows = estimated.correct(survey)
+        readings = estimated.readings(survey)[rows]
+        kept, disturbances = find_disturbances(corrected, readings, estimated.calibration, config)
     if not kept.any():
         msg = f"{survey.name}: nothing is left after removing disturbances; flag them instead of removing them"
         raise SurveyError(msg)
     left, resampled = resampling_step(corrected if kept.all() else corrected.subset(kept), config)
-    steps = [*estimated.steps(survey, config), *disturbances, resampled, earth_step(left.field, place)]
-    return left, report_on(survey, left, steps, estimated.whole_model, config)
+    steps += [*estimated.steps(config), *disturbances, resampled, earth_step(left.field, place)]
+    return left, report_on(given, left, steps, estimated.whole_model, config)

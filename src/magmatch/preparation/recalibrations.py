@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
+from magmatch.data.sensor_axes import find_repeats
 from magmatch.preparation.blocks import CHANNEL, PIECE
 from magmatch.preparation.calibrate_on_map import Calibration
-from magmatch.preparation.disturbances import find_repeats, find_saturation
+from magmatch.preparation.disturbances import find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.typing import Indices, Scalars, Vector3, Vectors
@@ -32,9 +33,14 @@ class Recalibrations:
 
     rows: Indices  # (k,): first reading behind each jump, ascending
     steps: Vectors  # (k, 3), T: what each jump added to the readings, sensor frame
+    refused: str = ""  # why jumps that were found are left as they are, in words
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def withdrawn(self, why: str) -> "Recalibrations":
+        """No cuts, for a reason in words."""
+        return replace(NO_CUTS, refused=f"{len(self)} jumps found, none taken out: {why}")
 
     def piece_of(self, n: int) -> Indices:
         """Number of the piece that each of n readings belongs to."""
@@ -63,7 +69,8 @@ NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 def find_recalibrations(log: SensorLog) -> Recalibrations:
     """Jumps that stand out from all changes around them and last; none in a log without times.
 
-    They must be the field's alone: where the carrier jumps as well, the field may, too.
+    They must be the field's alone: where the carrier jumps or turns at once as well, the field may, too. A jump that
+    a turn about the vertical explains is a turn that the poses show late, early or never.
     """
     field = log.orientations.apply(log.readings)
     # A reading that is held says nothing of how the field changes, whether it is turned with the carrier or not.
@@ -77,17 +84,32 @@ def find_recalibrations(log: SensorLog) -> Recalibrations:
     changes = np.diff(field, axis=0)
     changes = changes - median_filter(changes, size=(2 * NEIGHBOURS + 1, 1), mode="nearest")
     change, step = np.linalg.norm(changes, axis=1), np.linalg.norm(np.diff(log.positions, axis=0), axis=1)
+    turned = (log.orientations[:-1].inv() * log.orientations[1:]).magnitude() * np.linalg.norm(field[1:], axis=1)
     intervals = np.diff(log.times)
     # The end of the sensor's range holds readings still, and lets them go at once.
     is_free = ~find_saturation(log.readings)
     is_jump = is_free[1:] & is_free[:-1] & (change > SMALLEST)
-    is_jump &= (change > TIMES_LARGER * _most_beside(change)) & (step <= TIMES_LARGER * _most_beside(step))
+    beside = _most_beside(change)
+    is_jump &= (change > TIMES_LARGER * beside) & (step <= TIMES_LARGER * _most_beside(step))
+    is_jump &= (turned <= TIMES_LARGER * _most_beside(turned)) | (TIMES_LARGER * turned < change)
     is_jump &= intervals < GAP * np.median(intervals)
     candidates = [(row, _step(log, row)) for row in (np.flatnonzero(is_jump) + 1).tolist()]
     lasting = [(row, step) for row, step in candidates if np.linalg.norm(step) > LASTING * change[row - 1]]
+    most = np.maximum(SMALLEST, TIMES_LARGER * beside)
+    lasting = [
+        (r, step) for r, step in lasting if not _is_turn(field, r, log.orientations[r].apply(step), most[r - 1])
+    ]
     largest = sorted(sorted(lasting, key=lambda found: -float(np.linalg.norm(found[1])))[:MOST], key=lambda f: f[0])
     rows = np.array([row for row, _ in largest], dtype=np.int64)
     return Recalibrations(rows, np.array([step for _, step in largest]).reshape(-1, 3))
+
+
+def _is_turn(field: Vectors, row: int, step: Vector3, most: float) -> bool:
+    """Whether a turn about the vertical leaves less than a third of a step (T, survey frame), and itself no jump."""
+    before = field[max(row - NEIGHBOURS // 2, 0) : row].mean(axis=0)
+    after = before + step
+    left = float(np.hypot(np.hypot(*after[:2]) - np.hypot(*before[:2]), after[2] - before[2]))
+    return bool(TIMES_LARGER * left < np.linalg.norm(step) and left < most)
 
 
 def _most_beside(changes: Scalars) -> Scalars:
@@ -117,7 +139,8 @@ def recalibration_step(found: Recalibrations, log: SensorLog | None, calibration
     if log is None or log.times is None:
         return StepReport("recalibration", "unknown", "needs orientations and times")
     if not len(found):
-        return StepReport("recalibration", "unchanged", "no jump of the sensor's own calibration found")
+        words = found.refused or "no jump of the sensor's own calibration found"
+        return StepReport("recalibration", "unchanged", words)
     jumps = [
         f"at {log.times[row]:.2f} s by {1e6 * np.linalg.norm(step):.3g} uT"
         for row, step in zip(found.rows, found.steps, strict=True)

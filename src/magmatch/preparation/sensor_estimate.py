@@ -6,19 +6,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magmatch.arguments import column_of
+from magmatch.data.sensor_axes import find_repeats, stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
 from magmatch.preparation.calibrate_on_map import Calibration, calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.disturbances import find_jumps, find_repeats, find_saturation
+from magmatch.preparation.disturbances import find_jumps, find_saturation
+from magmatch.preparation.plausible import why_no_field
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations, recalibration_step
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.typing import Indices, Mask, Scalars, Vectors
+
+# m and rad: the jitter of poses at rest. A carrier that moves or turns by less shows no error of its sensor or clock.
+STILL, UNTURNED = 0.05, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -30,6 +34,7 @@ class SensorEstimate:
     cuts: Recalibrations  # where the phone recalibrated itself; `log` has them joined
     calibration: Calibration | None
     channels: Mapping[str, Scalars]  # other channels of the log
+    why_not: str = ""  # why nothing was estimated, in words
 
     @property
     def model(self) -> SensorModel:
@@ -51,10 +56,10 @@ class SensorEstimate:
         every = _with_pieces(self.channels, self.cuts, len(survey))
         return apply_model(survey, self.log, self.model, every, is_changed=is_changed)
 
-    def steps(self, survey: Survey, config: PreparationConfig) -> list[StepReport]:
+    def steps(self, config: PreparationConfig) -> list[StepReport]:
         """What was done, step by step."""
         joined = [recalibration_step(self.cuts, self.log, self.calibration)] if config.recalibration == "auto" else []
-        found = calibration_steps(survey, self.log, self.calibration, config, self.channels)
+        found = calibration_steps(self.log, self.calibration, config, self.channels, self.why_not)
         return [known_sensor_step(self.known), *joined, *found]
 
 
@@ -64,11 +69,13 @@ def estimate_sensor(
     channels: Mapping[str, Scalars],
     known: SensorModel | None,
     config: PreparationConfig,
+    *,
+    why_not: str = "",
 ) -> SensorEstimate:
-    """Take off what is known, join what the phone recalibrated, and calibrate what is left."""
-    channels = {
-        name: column_of(values, f"channel {name}", "any unit", len(survey)) for name, values in channels.items()
-    }
+    """Take off what is known, join what the phone recalibrated, and calibrate what is left.
+
+    `why_not` says why nothing can be calibrated: vectors in a wrong frame are not the sensor's readings.
+    """
     if survey.orientations is None:
         if known is not None:
             msg = f"{survey.name}: a known correction of the sensor needs orientations to be made"
@@ -77,11 +84,37 @@ def estimate_sensor(
     sensor_log = SensorLog.of(survey, trajectory)
     if known is not None:
         sensor_log = replace(sensor_log, readings=known.corrected(sensor_log.readings))
+    if why_not := why_not or _why_no_estimate(survey):
+        return SensorEstimate(known, sensor_log, replace(NO_CUTS, refused=why_not), None, channels, why_not)
     cuts = find_recalibrations(sensor_log) if config.recalibration == "auto" else NO_CUTS
-    sensor_log = cuts.joined(sensor_log) if len(cuts) else sensor_log
-    every = _with_pieces(channels, cuts, len(sensor_log))
-    calibration = calibrate(sensor_log, config, every, trusted(sensor_log, config))
-    return SensorEstimate(known, sensor_log, cuts, calibration, channels)
+    joined = cuts.joined(sensor_log) if len(cuts) else sensor_log
+    if why := why_no_field(*(log.orientations.apply(log.readings) for log in (sensor_log, joined))):
+        cuts, joined = cuts.withdrawn(why), sensor_log
+    every, is_good = _with_pieces(channels, cuts, len(joined)), trusted(joined, config)
+    calibration = calibrate(joined, config, every, is_good)
+    why_not = (
+        f"too few samples to tell: {is_good.sum()} of {len(survey)} are not held, at the end of the range or spikes"
+    )
+    estimate = SensorEstimate(known, joined, cuts, calibration, channels, why_not)
+    if calibration is None:
+        return estimate
+    # What is about to be written, against what was read.
+    corrected, rows = estimate.correct(survey)
+    why = why_no_field(sensor_log.orientations[rows].apply(sensor_log.readings[rows]), corrected.field)
+    return replace(estimate, calibration=calibration.withdrawn(why))
+
+
+def _why_no_estimate(survey: Survey) -> str:
+    """In words, what makes every estimate of a sensor's errors meaningless; nothing if nothing does."""
+    if stuck := stuck_axes(survey):
+        return "; ".join(stuck)
+    assert survey.orientations is not None  # or nothing is estimated in any case
+    moved = np.ptp(np.quantile(survey.positions, [0.01, 0.99], axis=0), axis=0).max()
+    turned = np.quantile((survey.orientations[len(survey) // 2].inv() * survey.orientations).magnitude(), 0.99)
+    if moved < STILL and turned < UNTURNED:
+        most = f"within {100 * STILL:.0f} cm and {np.degrees(UNTURNED):.0f} deg"
+        return f"the sensor does not move ({most}): nothing tells its errors from the field of the place"
+    return ""
 
 
 def _with_pieces(channels: Mapping[str, Scalars], cuts: Recalibrations, n: int) -> Mapping[str, Scalars]:

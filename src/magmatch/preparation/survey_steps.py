@@ -1,28 +1,46 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Steps that look at the corrected survey, disturbances and resampling, each with its report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 
 import numpy as np
 
+from magmatch.arguments import column_of
 from magmatch.data.checks import time_gaps
+from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.calibrate_on_map import Calibration
 from magmatch.preparation.config import Flagging, PreparationConfig
+from magmatch.preparation.consistency import affordable
 from magmatch.preparation.disturbances import (
     find_contradictions,
-    find_repeats,
     find_saturation,
     find_spikes,
     runs,
 )
 from magmatch.preparation.preparation_report import Outcome, StepReport
-from magmatch.preparation.resampling import resample_by_distance
+from magmatch.preparation.resampling import resample_by_distance, steps_of
+from magmatch.progress import tell
 from magmatch.threads import single_threaded
-from magmatch.typing import Mask, Vectors
+from magmatch.typing import Mask, Scalars, Vectors
+
+
+def checked_channels(channels: Mapping[str, Scalars], n: int) -> dict[str, Scalars]:
+    """Other channels of a log of n samples, a finite number for each."""
+    return {name: column_of(values, f"channel {name}", "any unit", n) for name, values in channels.items()}
+
+
+def thinned(
+    survey: Survey, channels: Mapping[str, Scalars], step: float
+) -> tuple[Survey, dict[str, Scalars], list[StepReport]]:
+    """The first sample of each step of the way (m), untouched: what is read more closely tells a map no more."""
+    rows = np.flatnonzero(np.diff(steps_of(survey.positions, step), prepend=-1))
+    words = f"the first sample of each {step:g} m of the way"
+    report = StepReport("thinning", "applied", words, len(survey), len(rows), "samples")
+    return survey.subset(rows), {name: values[rows] for name, values in channels.items()}, [report]
 
 
 @single_threaded
@@ -51,6 +69,7 @@ def find_disturbances(
         if mode == "off":
             steps.append(StepReport(name, "off", ""))
             continue
+        tell(f"looking for {name}")
         mask = find()
         steps.append(_disturbance_step(name, mode, mask, words, survey))
         if mode == "remove":
@@ -71,9 +90,11 @@ def resampling_step(survey: Survey, config: PreparationConfig) -> tuple[Survey, 
 def _hyperparameters(survey: Survey, calibration: Calibration | None, config: PreparationConfig) -> Hyperparameters:
     """Settings of the map that samples are held against."""
     if calibration is not None and not calibration.is_refused:
-        return calibration.hyperparameters
-    stride = -(-len(survey) // config.n_samples)
-    return choose_spline_hyperparameters(survey.positions[::stride], survey.field[::stride])
+        h = calibration.hyperparameters
+    else:
+        stride = -(-len(survey) // config.n_samples)
+        h = choose_spline_hyperparameters(survey.positions[::stride], survey.field[::stride])
+    return affordable(survey.positions, h)
 
 
 def _disturbance_step(name: str, mode: Flagging, mask: Mask, words: str, survey: Survey) -> StepReport:

@@ -8,7 +8,7 @@ import numpy as np
 from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.blocks import sensor_blocks
-from magmatch.preparation.consistency import MapConsistency
+from magmatch.preparation.consistency import LENGTHSCALE_IN_SPACINGS, MapConsistency
 from magmatch.preparation.least_squares import N_STRETCHES, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.typing import Points, Scalars
@@ -23,7 +23,7 @@ CLEARLY = 3.0
 MOST_CELLS, FINEST_SHARE = 800, 0.1
 # How far its basis reaches beyond the samples, in cells.
 REACH = 2.0
-LENGTHSCALE_IN_SPACINGS, SIGNAL_SD, NOISE_SD, STIFFNESS = 2.5, 10e-6, 0.5e-6, 3000.0
+SIGNAL_SD, NOISE_SD, STIFFNESS = 10e-6, 0.5e-6, 3000.0
 
 
 def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float]) -> tuple[float, Solution]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What to try if two surveys do not seem to match: the most likely remedy first."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -44,7 +45,7 @@ def diagnosis(surveys: Mapping[str, Survey]) -> str:
     side, first = next(iter(found.items()))
     if len(found) > 1 and len({one.kind for one in found.values()}) == 1:
         return f"both surveys: {first}"
-    return f"{side}: {first}".replace("--field", f"--{side}-field")
+    return f"{side}: {re.sub('--(?=field|columns|extrinsic)', f'--{side}-', str(first))}"
 
 
 def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:

@@ -22,7 +22,8 @@ from scipy.spatial.transform import RigidTransform
 from typing_extensions import TypedDict
 
 from magmatch.data.document import TypedDocument
-from magmatch.geometry import transform_from_matrix, transform_points
+from magmatch.geometry import covariance_about, near_origin, transform_from_matrix, transform_points
+from magmatch.number_text import told
 from magmatch.picture import BASE, TARGET, points_picture, share_picture, with_picture
 
 MAX_LINKS = 300
@@ -233,7 +234,7 @@ class RegistrationResult(TypedDocument):
         sure = "" if self.probability is None else f", probability {self.probability:.4g}"
         lines = [f"RegistrationResult: {self.status}{sure}{f', map {self.base}' if self.base else ''}", self.reason]
         if self.T_base_target is not None:
-            x, y, z = (f"{v:.4g}" for v in self.T_base_target.translation)
+            x, y, z = (told(v, 4, 1e-3) for v in self.T_base_target.translation)
             turn = math.degrees(self.T_base_target.rotation.magnitude())
             lines[1:1] = [f"T_base_target: {x}, {y}, {z} m, turned by {turn:.4g} degrees"]
         return "\n".join(" ".join(line.split()) for line in lines)
@@ -271,7 +272,8 @@ class RegistrationResult(TypedDocument):
         """
         if self.covariance is None:
             return None
-        turn, cross, shift = self.covariance[:3, :3], self.covariance[3:, :3], self.covariance[3:, 3:]
+        C = covariance_about(self.covariance, near_origin(self.links.target, 1.0))
+        turn, cross, shift = C[:3, :3], C[3:, :3], C[3:, 3:]
         at_target = shift - cross @ np.linalg.solve(turn, cross.T)
         return float(np.sqrt(np.trace(turn))), float(np.sqrt(max(float(np.trace(at_target)), 0.0)))
 

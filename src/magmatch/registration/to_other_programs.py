@@ -2,18 +2,17 @@
 """A registration for other programs: a TUM pose, a g2o edge with its information matrix, a ROS static transform."""
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
-from magmatch.data.points import spaced
+from magmatch.data.tables.tum import write_tum
 from magmatch.errors import SurveyError
+from magmatch.geometry import covariance_about, near_origin
+from magmatch.registration.g2o import Edge, RotationTangent, write_pose_graph
 from magmatch.registration.result import RegistrationResult
-from magmatch.typing import Covariance6
-
-RotationTangent = Literal["quaternion", "angle"]
+from magmatch.typing import Covariance6, Vector3
 
 
 def accepted_transform(result: RegistrationResult) -> RigidTransform:
@@ -27,59 +26,36 @@ def accepted_transform(result: RegistrationResult) -> RigidTransform:
 def write_relative_tum(result: RegistrationResult, path: str | Path) -> None:
     """Write ``T_base_target`` of an accepted result as one TUM row at time 0; raises SurveyError if refused."""
     T = accepted_transform(result)
-    numbers = [0.0, *T.translation.tolist(), *T.rotation.as_quat().tolist()]
-    text = "# T_base_target: t x y z qx qy qz qw\n" + " ".join(map(repr, numbers)) + "\n"
-    with atomic_write(path) as stream:
-        stream.write(text.encode())
-
-
-def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quaternion") -> np.ndarray:
-    """Information matrix of a g2o edge.
-
-    To first order ``Exp(xi)`` has translation ``rho`` and quaternion ``(theta / 2, 1)``, so that the error of g2o is
-    ``e = (rho, theta / 2)`` and its information ``(J S J^T)^-1`` with ``J = [[0, I], [I / 2, 0]]``.
-    """
-    J = np.zeros((6, 6))
-    J[:3, 3:] = np.eye(3)
-    J[3:, :3] = np.eye(3) * (0.5 if tangent == "quaternion" else 1.0)
-    moved = J @ covariance @ J.T
-    # Scaled to correlations first: rad and m differ by orders of magnitude.
-    scale = np.sqrt(np.diagonal(moved))
-    inverse = np.linalg.inv(moved / np.outer(scale, scale)) / np.outer(scale, scale)
-    return np.asarray((inverse + inverse.T) / 2)
-
-
-def g2o_vertex(node: int, T: RigidTransform) -> str:
-    """A pose as a line of g2o."""
-    return f"VERTEX_SE3:QUAT {node} {_pose(T)}"
-
-
-def g2o_edge(
-    first: int, second: int, T: RigidTransform, covariance: Covariance6, tangent: RotationTangent = "quaternion"
-) -> str:
-    """A measured relative pose as a line of g2o; covariance of xi in ``T Exp(xi)``, rotation first."""
-    information = g2o_information(covariance, tangent)
-    return f"EDGE_SE3:QUAT {first} {second} {_pose(T)} {spaced(information[np.triu_indices(6)].tolist())}"
+    write_tum(path, np.zeros(1), T.translation[None], T.rotation.as_quat()[None], of="T_base_target: ")
 
 
 def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTangent = "quaternion") -> None:
     """Write base and target as vertices 0 and 1 and the registration as the edge between them.
 
+    They are the frames of the surveys. Of those far from the samples they are points near the samples, with the
+    frames' axes (`vertices_of`): about an origin at 5,000 km the information is singular in float64.
+
     Raises SurveyError unless it is accepted, with a covariance of full rank; ``tangent``: see `g2o_information`.
     """
     T = accepted_transform(result)
-    if result.covariance is None or np.linalg.eigvalsh(result.covariance)[0] <= 0:
+    base, target = vertices_of(result)
+    C = None if result.covariance is None else covariance_about(result.covariance, target)
+    if C is None or not _has_full_rank(C):
         msg = "the result has no covariance of full rank, which an edge of a pose graph needs"
         raise SurveyError(msg)
-    lines = [
-        f"# magmatch: T_base_target; information of (translation, rotation as {tangent}) of Z^-1 T_true",
-        g2o_vertex(0, RigidTransform.identity()),
-        g2o_vertex(1, T),
-        g2o_edge(0, 1, T, result.covariance, tangent),
-        "",
-    ]
-    with atomic_write(path) as stream:
-        stream.write("\n".join(lines).encode())
+    T_base_near, T_target_near = RigidTransform.from_translation(base), RigidTransform.from_translation(target)
+    Z = T_base_near.inv() * T * T_target_near
+    write_pose_graph(path, [T_base_near, T * T_target_near], [Edge(0, 1, Z, C)], tangent)
+
+
+def vertices_of(result: RegistrationResult) -> tuple[Vector3, Vector3]:
+    """Where the vertices of an edge are in base and target (m): whole metres near the samples, or the origin."""
+    return near_origin(result.links.base, 1.0), near_origin(result.links.target, 1.0)
+
+
+def _has_full_rank(C: Covariance6) -> bool:
+    sd = np.sqrt(np.maximum(C.diagonal(), 0))
+    return bool((sd > 0).all() and np.linalg.eigvalsh(C / np.outer(sd, sd))[0] > 0)
 
 
 def write_static_transform(result: RegistrationResult, path: str | Path, base: str, target: str) -> None:
@@ -97,7 +73,3 @@ def write_static_transform(result: RegistrationResult, path: str | Path, base: s
     }
     with atomic_write(path) as stream:
         stream.write(yaml.safe_dump(content, sort_keys=False).encode())
-
-
-def _pose(T: RigidTransform) -> str:
-    return spaced([*T.translation.tolist(), *T.rotation.as_quat().tolist()])

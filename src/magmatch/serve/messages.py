@@ -13,6 +13,7 @@ from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import first_fault
 from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.localization.samples import unit_rows
+from magmatch.number_text import told
 from magmatch.serve.refusals import RefusedError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -26,6 +27,8 @@ POSE = struct.Struct("<IB3xdd12d21f")
 _HEAD, _NO_POSE = struct.Struct("<IB3xdd"), bytes(12 * 8 + 21 * 4)
 STATUSES = tuple(LocalizerStatus)
 _UPPER = np.triu_indices(6)
+# m: from here on, single precision rounds by more than half a millimetre, which is no longer below odometry's noise.
+MAX_SINGLE = 2.0**14
 
 
 class _Message(BaseModel):
@@ -95,6 +98,12 @@ def _binary(message: bytes) -> np.ndarray:
     found = np.frombuffer(message, SAMPLE)
     rows = np.empty((len(found), 11))
     rows[:, 0], rows[:, 1:] = found["t"], found["pqb"]
+    if len(far := rows[(np.abs(rows[:, 1:4]) >= MAX_SINGLE).any(axis=1), 1:4]):
+        words = (
+            f"position: expected less than {MAX_SINGLE / 1e3:.0f} km in each axis, which float32 can hold, found "
+            f"{', '.join(told(v) for v in far[0])}; take the first position off all, or send JSON"
+        )
+        raise RefusedError(422, words)
     return rows
 
 

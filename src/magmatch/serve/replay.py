@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, MagmatchError, SurveyError, import_extra
-from magmatch.geometry import transform_from_matrix
+from magmatch.geometry import near_origin, transform_from_matrix
 from magmatch.serve.live import PROTOCOL
 from magmatch.serve.messages import read_pose, write_sample
 
@@ -103,7 +103,9 @@ class _Sender:
         R = log.orientations if log.orientations is not None else Rotation.identity(len(log))
         assert log.times is not None
         self._times, self._q, self._b = log.times, R.as_quat(), R.inv().apply(log.field)
-        self._p, self._speed, self._on_pose = log.positions, speed, on_pose
+        # Where odometry has its origin makes no difference to the answers; single precision needs it near.
+        self._p = log.positions - near_origin(log.positions, 1.0)
+        self._speed, self._on_pose = speed, on_pose
         self.key = ""
         self._found: dict[float, list[list[float]]] = {}
         self._n_answers = self._n_errors = 0

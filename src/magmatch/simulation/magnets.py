@@ -68,7 +68,14 @@ def field_of(sources: Sequence[Source], points: Points) -> Vectors:
     step = max(_PAIRS_AT_ONCE // len(bodies), 1)
     for start in range(0, len(points), step):
         part = points[start : start + step]
-        field[start : start + step] = np.reshape(magpylib.getB(bodies, part, sumup=True), (-1, 3))
+        with np.errstate(all="ignore"):
+            field[start : start + step] = np.reshape(magpylib.getB(bodies, part, sumup=True), (-1, 3))
+    wrong = np.flatnonzero(~np.isfinite(field).all(axis=1))
+    if len(wrong):
+        msg = (
+            f"points: expected none at a dipole, whose field is infinite there, found point {wrong[0]}; move it away"
+        )
+        raise ValueError(msg)
     return field
 
 

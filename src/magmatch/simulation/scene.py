@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.brief import brief
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.geometry import rotate_vectors, transform_points
@@ -53,6 +54,8 @@ class SimulatedPair:
     # structure
     accept: bool
     config: SimulationConfig = field(default_factory=SimulationConfig)  # settings it was made with
+
+    __repr__ = brief
 
 
 class Streams:

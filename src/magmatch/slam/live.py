@@ -12,6 +12,7 @@ from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
 from magmatch.field.selection.spline_hyperparameters import FEWEST_SAMPLES
 from magmatch.geometry import path_moved
+from magmatch.number_text import told
 from magmatch.preparation.recalibrations import NEIGHBOURS
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
@@ -69,7 +70,7 @@ class LiveLog:
         if (size := float(np.linalg.norm(b))) > MAX_FIELD:
             raise ValueError(too_large(size))
         if self._t and t <= self._t[-1]:
-            msg = f"expected a time after {self._t[-1]:.9g} s, that of the sample before, got {t:.9g}"
+            msg = f"expected a time after {told(self._t[-1])} s, that of the sample before, got {told(t)}"
             raise ValueError(msg)
         R = T_odom_body.rotation
         self._t.append(t)

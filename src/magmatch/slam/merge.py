@@ -17,7 +17,7 @@ from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
-from magmatch.geometry import log_se3, path_walked, rotation_matrix, transform_from_matrix
+from magmatch.geometry import covariance_about, log_se3, path_walked, rotation_matrix, transform_from_matrix
 from magmatch.progress import Progress, counted, followed
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
@@ -31,7 +31,6 @@ from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
 from magmatch.slam.search.bases import Run
 from magmatch.slam.session import Session, names_of, require_distinct
-from magmatch.slam.statement import covariance_about
 from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread

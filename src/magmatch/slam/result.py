@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 from typing_extensions import TypedDict
 
+from magmatch.brief import brief
 from magmatch.data.document import TypedDocument
 from magmatch.registration.result import Count, Covariance, Fraction, Length, Number, NumberOrNull, Three, Transform
 
@@ -88,6 +89,8 @@ class ClosureResult:
     weight: Fraction
     walked_a: Length = 0.0
     walked_b: Length = 0.0
+
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -178,6 +181,8 @@ class SlamResult(TypedDocument):
     version: str = ""
     seed: Count = 0
     inputs: tuple[dict[str, Any], ...] = ()
+
+    __repr__ = brief
 
     @property
     def is_connected(self) -> bool:

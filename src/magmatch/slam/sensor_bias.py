@@ -15,10 +15,11 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
-from magmatch.preparation.recalibrations import NEIGHBOURS, NO_CUTS, TIMES_LARGER, Recalibrations, find_recalibrations
+from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.slam.config import SlamConfig
@@ -33,21 +34,10 @@ BINS, PART_LENGTH = 4, 25.0
 
 
 def recalibrations_of(survey: Survey) -> Recalibrations:
-    """Where the magnetometer recalibrated itself; none where orientations are missing."""
-    if survey.orientations is None:
+    """Where the magnetometer recalibrated itself; none where orientations are missing or an axis is stuck."""
+    if survey.orientations is None or stuck_axes(survey):
         return NO_CUTS
-    found = find_recalibrations(SensorLog.of(survey))
-    lasting = [k for k in range(len(found)) if not _is_turn(survey, int(found.rows[k]), found.steps[k])]
-    return Recalibrations(found.rows[lasting], found.steps[lasting])
-
-
-def _is_turn(survey: Survey, row: int, step: Vector3) -> bool:
-    """Whether a jump is what a turn about the vertical would be that the attitude missed, but for a third."""
-    assert survey.orientations is not None
-    before = survey.field[max(row - NEIGHBOURS // 2, 0) : row].mean(axis=0)
-    after = before + survey.orientations[row].apply(step)
-    lasting = [np.hypot(*after[:2]) - np.hypot(*before[:2]), after[2] - before[2]]
-    return bool(TIMES_LARGER * np.linalg.norm(lasting) < np.linalg.norm(step))
+    return find_recalibrations(SensorLog.of(survey))
 
 
 def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
@@ -60,8 +50,8 @@ def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
 
 
 def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:
-    """Bias of the magnetometer in its own axes, and its sd, T; zero where orientations are missing."""
-    if survey.orientations is None:
+    """Bias of the magnetometer in its own axes, and its sd, T; zero without orientations or with an axis stuck."""
+    if survey.orientations is None or stuck_axes(survey):
         return np.zeros(3), np.zeros(3)
     turned = _headings_alone(survey.orientations) if config.is_gravity_aligned else survey.orientations
     rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)

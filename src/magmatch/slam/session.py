@@ -13,6 +13,7 @@ from scipy.special import chdtri
 
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
+from magmatch.brief import brief
 from magmatch.data.checks import odd_speed, require_survey
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.order import has_order
@@ -27,6 +28,7 @@ from magmatch.settings import Settings
 from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
+from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -80,6 +82,8 @@ class Session:
     is_rigid: bool = False
     _live: LiveLog | None = field(default=None, init=False, repr=False)
     _maps: dict[int, FieldMap] = field(default_factory=dict, init=False, repr=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         self.config = self.config or SlamConfig()
@@ -298,7 +302,14 @@ class Session:
         return SlamResult(
             status,
             explain(
-                status, groups, len(ties), len(closures) - len(ties), len(anchors), self._bent(), self._guessed()
+                status,
+                groups,
+                len(ties),
+                len(closures) - len(ties),
+                len(anchors),
+                self._bent(),
+                self._guessed(),
+                [names[k] for k in np.flatnonzero(strains(self.graph) > MOST_BENT)],
             ),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),

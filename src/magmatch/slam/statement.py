@@ -14,7 +14,7 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.result import AnchorResult, ClosureResult, LogOdometry, Odometry, Recalibration, SlamStatus
 from magmatch.slam.sensor_bias import recalibrations_of
 from magmatch.slam.windows import Path, Window
-from magmatch.typing import Covariance6, Vector3
+from magmatch.typing import Vector3
 
 
 def state_closure(
@@ -47,12 +47,6 @@ def body_at(path: Path, node: int, *, is_rigid: bool) -> tuple[RigidTransform, f
     R = None if survey.orientations is None else survey.orientations[at]
     T = RigidTransform.identity() if R is None else RigidTransform.from_rotation(R)
     return T, None if survey.times is None else float(survey.times[at]), float(path.walked[at])
-
-
-def covariance_about(covariance: Covariance6, point: Vector3) -> Covariance6:
-    """A covariance of xi about a frame's origin as one about a point of the frame, same axes."""
-    M = adjoint(RigidTransform.from_translation(-point))
-    return np.asarray(M @ covariance @ M.T)
 
 
 def state_anchors(
@@ -103,10 +97,12 @@ def explain(
     n_fixed: int = 0,
     bent: Window | None = None,
     guessed: tuple[float, float] | None = None,
+    bent_logs: Sequence[str] = (),
 ) -> str:
     """In words: how the logs are connected, or how they could be; or a window that does not keep its shape.
 
-    ``guessed``: the drift (m, deg) that was neither stated nor learned.
+    ``guessed``: the drift (m, deg) that was neither stated nor learned. ``bent_logs``: those that were corrected by
+    more than it makes possible.
     """
     n = sum(map(len, groups))
     ties = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
@@ -123,12 +119,21 @@ def explain(
     guess = "" if guessed is None else (
         "; odometry is assumed to drift by {:g} m and {:g} degrees in 10 m: state yours with --odometry-sd"
     ).format(*guessed)  # fmt: skip
+    if bent_logs:
+        guess += (
+            f"; {_some(bent_logs)}: corrected by more than the drift of odometry makes possible: a wrong closure or "
+            "fixed point, or odometry worse than stated (--odometry-sd)"
+        )
     if status is SlamStatus.CONNECTED:
         return f"{ties}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}{guess}"
     alone = [group[0] for group in groups if len(group) == 1]
     words = f"{ties}; {_count(n, 'log')} in {len(groups)} frames of their own"
-    words += f"; connected to no other: {', '.join(alone[:5])}{', ...' if len(alone) > 5 else ''}" if alone else ""
+    words += f"; connected to no other: {_some(alone)}" if alone else ""
     return words + guess
+
+
+def _some(names: Sequence[str]) -> str:
+    return f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}"
 
 
 def _count(n: int, noun: str) -> str:

@@ -329,3 +329,26 @@ def test_a_line_without_end_is_refused(tmp_path, monkeypatch):
     (tmp_path / "room.csv").write_text("x,y,z,bx,by,bz\n" + "1" * 10_000)
     with pytest.raises(DataFormatError, match="a line of more than 5000 bytes"):
         read_survey(tmp_path / "room.csv")
+
+
+def test_a_minus_in_columns_reverses_what_is_read_and_columns_may_be_swapped(tmp_path):
+    path = write(tmp_path / "survey.csv", PLAIN)
+    plain, other = read_survey(path), read_survey(path, SurveyFormat(columns="bx=by, by=bx, bz=-bz"))
+    np.testing.assert_array_equal(other.field, plain.field[:, [1, 0, 2]] * [1, 1, -1])
+    np.testing.assert_array_equal(other.positions, plain.positions)
+
+
+def test_a_tables_own_poses_are_carried_to_the_sensor_by_its_extrinsic(tmp_path):
+    rng, path = np.random.default_rng(0), tmp_path / "survey.csv"
+    q, mount = Rotation.random(20, random_state=rng), Rotation.from_euler("x", 90, degrees=True)
+    read = rng.normal(0, 3e-5, (20, 3))
+    Survey(rng.uniform(0, 5, (20, 3)), read, None, q).save(path)
+    numbers = " ".join(map(str, [0.1, 0.2, 0.3, *mount.as_quat()]))
+    body = read_survey(path)
+    sensor = read_survey(path, SurveyFormat(extrinsic=numbers, field_frame="sensor"))
+    np.testing.assert_allclose(sensor.positions, body.positions + q.apply([0.1, 0.2, 0.3]), rtol=1e-12)
+    np.testing.assert_allclose(sensor.field, (q * mount).apply(read), rtol=1e-9, atol=1e-18)
+    centimetres = read_survey(path, SurveyFormat(extrinsic=numbers, length_unit="cm"))
+    np.testing.assert_allclose(centimetres.positions, body.positions / 100 + q.apply([0.1, 0.2, 0.3]), rtol=1e-12)
+    with pytest.raises(DataFormatError, match="--extrinsic needs orientations"):
+        read_survey(write(tmp_path / "plain.csv", PLAIN), SurveyFormat(extrinsic="0 0 1"))

@@ -84,5 +84,8 @@ def test_uncalibrated_samples_are_read_last_and_said_to_be(tmp_path, poses, capl
 
 def test_a_phone_log_alone_says_where_positions_come_from(tmp_path):
     (tmp_path / "table.csv").write_text(sensor_logger())
-    with pytest.raises(DataFormatError, match="--trajectory"):
+    with pytest.raises(DataFormatError, match=r"--trajectory POSES\.tum$"):  # no odometry: nothing to make it of
         read_survey(tmp_path / "table.csv")
+    tables = {"Magnetometer": sensor_logger(), "TotalAcceleration": sensor_logger(), "Gyroscope": sensor_logger()}
+    with pytest.raises(DataFormatError, match=r"'magmatch odometry' makes one"):
+        read_survey(zipped(tmp_path / "all.zip", **tables))

@@ -195,5 +195,5 @@ def test_without_the_extra_logs_are_refused_and_tables_read(package, made, fligh
         for file in (path, table)
     ]  # fmt: skip
     assert [run.returncode for run in runs] == [2, 0]
-    assert "magmatch[ros]" in runs[0].stderr
+    assert "pip install '.[ros]'" in runs[0].stderr
     assert len(runs[0].stderr.splitlines()) == 1

@@ -155,10 +155,21 @@ def test_plain_vectors_are_a_field_when_named(made, flight, saved):
     mag, odom = flight.series
     vectors = made.replace(mag, type="geometry_msgs/msg/Vector3Stamped", values=1e6 * mag.values)
     path = saved(vectors, odom)
-    with pytest.raises(DataFormatError, match="expected a field topic"):
+    with pytest.raises(DataFormatError, match=r"expected a field topic.*: --mag-topic /imu/mag$"):
         read_survey(path)
     survey = read_survey(path, SurveyFormat(mag_topic="/imu/mag", field_unit="uT"))
     np.testing.assert_allclose(np.linalg.norm(survey.field, axis=1), np.linalg.norm(flight.mag, axis=1))
+
+
+def test_topics_that_may_hold_the_field_are_offered_those_named_after_it_first(made, flight, saved):
+    mag, odom = flight.series
+    vectors = [made.replace(mag, topic=name, type="geometry_msgs/msg/Vector3Stamped") for name in ("/acc", "/my_mag")]
+    with pytest.raises(DataFormatError, match=r"--mag-topic /my_mag \(or /acc\)$"):
+        read_survey(saved(*vectors, odom))
+    with pytest.raises(
+        DataFormatError, match=r"PointStamped\), found /my_mag [^;]*; poses .*--trajectory POSES.tum$"
+    ):
+        read_survey(saved(vectors[1]), SurveyFormat(mag_topic="/my_mag"))
 
 
 def test_header_stamps_count_and_a_distant_log_clock_is_said(made, flight, saved, caplog):

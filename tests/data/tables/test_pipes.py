@@ -4,12 +4,15 @@
 import gzip
 import os
 import threading
+import zipfile
 from contextlib import contextmanager
+from io import BytesIO
 
 import numpy as np
 import pytest
 
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
 from magmatch.data.tables import pipes
@@ -67,6 +70,18 @@ def test_a_survey_of_any_format_comes_through_a_pipe(kind, walk, tmp_path):
         read, again = read_survey(name), read_survey(name)
     np.testing.assert_array_equal(read.field, read_survey(plain).field)
     np.testing.assert_array_equal(again.positions, read.positions)
+
+
+def test_what_an_archive_says_of_pauses_is_read_through_a_pipe_too():
+    content, rows = BytesIO(), "".join(f"{t},1,2,-45\n" for t in (0.0, 1.0, 2.0))
+    with zipfile.ZipFile(content, "w") as archive:
+        head = "Time (s),Magnetic field x (µT),Magnetic field y (µT),Magnetic field z (µT)\n"
+        archive.writestr("Magnetometer.csv", head + rows)
+        about = "event,experiment time,system time\nSTART,0,100\nPAUSE,1.5,101.5\nSTART,1.5,111.5\n"
+        archive.writestr("meta/time.csv", about)
+    with piped(content.getvalue()) as name:
+        log = read_phone_log(name)
+    np.testing.assert_allclose(log.streams["field"].times, [0, 1, 12])
 
 
 def test_field_and_trajectory_may_come_through_two_pipes(walk, tmp_path):

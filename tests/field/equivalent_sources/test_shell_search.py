@@ -77,6 +77,18 @@ def test_along_a_path_the_score_is_what_refits_miss_of_stretches_they_did_not_se
     assert min(missed(ratio / 6), missed(6 * ratio)) >= missed(ratio)
 
 
+@pytest.mark.parametrize("is_path", [True, False])
+def test_by_the_prior_a_far_layer_varies_at_the_samples_at_most_five_times_as_much_as_they_do(is_path):
+    s = np.linspace(0, 6, 400)
+    x = np.column_stack([3 * np.sin(3 * s), 3 * np.cos(2.3 * s), 0 * s])
+    b = 1e-5 * np.stack([np.sin(3 * x[:, 1]), np.cos(3 * x[:, 0]), np.sin(3 * x[:, 0] + 2 * x[:, 1])], axis=1)
+    shell, folds = lay_shell(x, 3.0, 1.5, 300), divide(x, 1.0)
+    fit = fit_shell(shell, x, b, folds if is_path else Folds(folds.part, (), False))
+    by_prior = fit.signal_sd * shell.design(x).reshape(3, len(x), -1)
+    by_prior -= by_prior.mean(axis=1, keepdims=True)
+    assert np.sqrt((by_prior**2).sum(axis=2).mean()) <= 5 * np.sqrt(b.var(axis=0).mean())
+
+
 @laws
 @given(best=st.floats(-2, 2), start=st.floats(-1, 1), low=st.floats(-1.5, -1), high=st.floats(1, 1.5))
 def test_the_distance_of_the_best_score_is_found_within_bounds_in_few_fits(best, start, low, high):

@@ -99,7 +99,7 @@ def test_scheduler_that_does_not_answer_is_named(tasks, monkeypatch):
 
 def test_missing_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[distributed\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[distributed\]'"):
         DaskRunner()
 
 

@@ -165,7 +165,45 @@ def test_gaps_are_said(caplog):
     assert "has 1 gaps, the longest 0.51 s" in caplog.text
 
 
+def test_poses_reach_the_last_reading_of_both_sensors():
+    log = walk(rate=97.0)
+    found = dead_reckon(log).trajectory
+    stop = min(stream.times[-1] for stream in log.streams.values())
+    assert found.times[-1] == stop
+    before = dead_reckon(
+        PhoneLog(
+            log.path, log.app, {k: Stream(s.times[:-3], s.values[:-3], s.source) for k, s in log.streams.items()}
+        )
+    ).trajectory
+    (last,) = np.diff(found.positions[-2:], axis=0)
+    assert np.linalg.norm(last) <= 2.0 * (stop - found.times[-2])  # no faster than people walk
+    assert before.times[-1] < stop
+
+
+def cut(log, at, seconds, turning=0.0):
+    """The log with a pause, before which the phone turns (rad/s about its z) for a moment."""
+    streams = {}
+    for sensor, s in log.streams.items():
+        values = s.values + (turning * (np.abs(s.times - at) < 0.02)[:, None] * [0, 0, 1] if sensor == "rate" else 0)
+        streams[sensor] = Stream(s.times + seconds * (s.times >= at), values, s.source)
+    return PhoneLog(log.path, log.app, streams)
+
+
+def test_nothing_is_walked_or_turned_in_a_pause(caplog):
+    """Not even where the phone turned when it was paused."""
+    whole, paused = dead_reckon(walk()).trajectory, dead_reckon(cut(walk(), 20.0, 60.0, turning=0.5)).trajectory
+    is_in_it = (paused.times > 20.0) & (paused.times < 80.0)
+    assert not is_in_it.any()
+    assert paused.times[-1] == pytest.approx(whole.times[-1] + 60, abs=0.02)
+    row = int(np.searchsorted(paused.times, 50.0))
+    (step,) = np.diff(paused.positions[[row - 1, row]], axis=0)
+    assert np.linalg.norm(step) < 0.05
+    shift = np.interp(whole.times[-1], whole.times, whole.positions[:, 0]) - paused.positions[-1, 0]
+    assert abs(shift) < 1.0  # the step that was cut in two
+    assert "the path is in 2 pieces" in caplog.text
+
+
 def test_without_vqf_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "vqf", None)
-    with pytest.raises(MissingExtraError, match=r"magmatch\[odometry\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install '\.\[odometry\]'"):
         dead_reckon(walk())

@@ -14,11 +14,14 @@ from magmatch.data.geodesy import Origin, local_east_north
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points, in_metres, of_logs, read_anchors
+from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import most_contradicted, solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
+from magmatch.slam.statement import explain
 from magmatch.slam.windows import cut
 
 LEVEL = SlamConfig(is_planar=True)
@@ -94,6 +97,17 @@ def test_what_all_else_says_of_a_point_is_what_the_graph_without_it_says():
         without.fixed = fixed_points([(Anchor(LOG.name, float(LOG.times[row]), T.apply(TRUTH[row]), 0.02), 0)], paths)
         sd = np.sqrt(np.trace(covariance[k]) / 3)
         assert np.linalg.norm(off[k] - without.off_fixed()[0]) < 0.2 * sd + 0.01
+
+
+@pytest.mark.parametrize(("off", "is_bent"), [(0.0, False), (0.5, False), (5.0, True)])
+def test_a_log_that_a_fixed_point_bends_by_more_than_its_odometry_can_drift_is_told(off, is_bent):
+    graph, _ = graph_of([5, 60, 110, 160, 205])
+    graph.fixed = replace(graph.fixed, position=graph.fixed.position + off * np.eye(5, 3, -1))
+    solve(graph)
+    assert (strains(graph)[0] > MOST_BENT) == is_bent
+    bent = ["walk"] if is_bent else []
+    reason = explain(SlamStatus.CONNECTED, [["walk"]], 0, 0, 5, bent_logs=bent)
+    assert ("walk: corrected by more than the drift of odometry makes possible" in reason) == is_bent
 
 
 @pytest.mark.parametrize("at", [[5, 60, 110, 160, 205], [5, 60, 110]])

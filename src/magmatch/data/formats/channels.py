@@ -10,9 +10,9 @@ import numpy as np
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.parquet import read_other_columns
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.survey_columns import COLUMNS
+from magmatch.data.formats.table_columns import read_columns
+from magmatch.data.survey_columns import COLUMNS, column_numbers
 from magmatch.data.tables.table import read_table
-from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars
 
@@ -58,26 +58,23 @@ def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
         times, columns = read_other_columns(path, layout, MAX_CHANNELS)
     else:
         return NO_CHANNELS
-    if times is not None:
-        times = times / UNITS_PER_SECOND[layout.time_unit]
+    times = times if layout.rate is None else None
     return Channels({name: Channel(times, values) for name, values in columns.items()})
 
 
 def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dict[str, Scalars]]:
-    """Times in the file's unit, and the other columns."""
-    theirs = layout.column_names()
-    own = {*theirs, *COLUMNS}
-    table = read_table(path, own, recover=layout.recover)
+    """Times in s, and the other columns."""
+    table, chosen = read_columns(path, layout)
+    own, numbered = {*chosen.ours, *COLUMNS}, column_numbers(layout.stated_columns())
     columns: dict[str, Scalars] = {}
     for name in table.names:
         if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
             continue
         try:
-            other = read_table(path, (name,), recover=layout.recover)
+            other = read_table(path, (name,), recover=layout.recover, numbered=numbered, decimal=table.decimal)
         except DataFormatError:
             continue
         is_there = np.isin(other.line_numbers, table.line_numbers)
         if is_there.sum() == len(table):
             columns[name] = other.columns[name][is_there]
-    clock = next((name for name, ours in theirs.items() if ours == "t"), "t")
-    return table.columns.get(clock), columns
+    return chosen.of(table).columns.get("t"), columns

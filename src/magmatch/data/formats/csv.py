@@ -2,19 +2,31 @@
 """The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
+from magmatch.data.formats.table_columns import advice_for, read_columns
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import FIELD_COLUMNS, FRAME_COLUMN, POSITION_COLUMNS, wanted_columns
-from magmatch.data.tables.quaternions import QUATERNION
+from magmatch.data.survey_columns import (
+    FIELD_COLUMNS,
+    GLOBAL_COLUMNS,
+    POSITION_COLUMNS,
+    choose_columns,
+    local_positions,
+    position_columns,
+    warn_of_unused_times,
+)
+from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, read_table
-from magmatch.data.tables.text_rows import require_stated
-from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Points
 
 logger = logging.getLogger(__name__)
@@ -22,31 +34,73 @@ logger = logging.getLogger(__name__)
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
-    stated = layout.column_names()
-    known = wanted_columns(stated)
-    table = read_table(path, known, recover=layout.recover, advise=_advice, texts=(FRAME_COLUMN,))
-    require_stated(path, table.names, stated)
-    return survey_of_table(table.renamed(known), layout)
+    table, chosen = read_columns(path, layout)
+    table = chosen.of(table)
+    if layout.rate is None:
+        _warn_of_unnamed(table, layout)
+    return survey_of_table(table, layout)
 
 
-def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
-    """Turn a table of samples, from whatever format, into a survey."""
-    if table.has("t") and layout.time_unit != "s":
-        times = table.columns["t"] / UNITS_PER_SECOND[layout.time_unit]
-        table = replace(table, columns=table.columns | {"t": times})
+def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
+    """Say that a column without a name is left out, unless it counts the rows: pandas so writes an index of times."""
+    if "" not in table.names or table.has("t"):
+        return
+    path = table.path
+    try:
+        values = read_table(path, ("",), recover=layout.recover, decimal=table.decimal).columns[""]
+        is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
+    except DataFormatError:
+        is_count = False
+    if not is_count:
+        logger.warning("%s: a column without a name is left out; if it holds times, name it t in the header", path)
+
+
+def survey_of_table(
+    table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
+) -> Survey:
+    """Turn a table of samples, from whatever format, into a survey; its times are in s.
+
+    `advise` says how to name what is missing.
+    """
+    table = _at_rate(table, layout)
+    turned = {name: -table.columns[name] for name in layout.reversed_columns() if table.has(name)}
+    table = replace(table, columns=table.columns | turned)
+    warn_of_unused_times(table)
     if layout.trajectory is not None:
-        survey = recording_of_table(table, layout).survey()
+        survey = recording_of_table(table, layout, advise).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)
-    _require_own_poses(table)
-    survey = Survey.from_table(table, layout.field_unit, layout.length_unit, layout.field_frame)
+    _require_own_poses(table, advise(table.names))
+    table = _carried(table, layout)
+    survey = Survey.from_table(table, layout.field_unit, layout.length_unit, layout.field_frame, layout.origin)
     return survey if layout.pose_sd is None else replace(survey, pose_sd=layout.pose_sd)
 
 
-def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
+def _carried(table: Table, layout: SurveyFormat) -> Table:
+    """The table with the sensor's poses, where its own are those of a body that carries the sensor."""
+    if layout.extrinsic is None:
+        return table
+    turns = rotations_of(table)
+    if turns is None:
+        message = "--extrinsic needs orientations, to tell where on the body the sensor is: columns qx, qy, qz, qw"
+        raise DataFormatError(table.path, message)
+    if not all(table.has(name) for name in POSITION_COLUMNS):
+        message = "--extrinsic needs positions in metres, found latitude and longitude; magmatch convert writes them"
+        raise DataFormatError(table.path, message)
+    T_body_sensor = read_extrinsic(layout.extrinsic)
+    lever = turns.apply(T_body_sensor.translation) / METRE_PER_UNIT[layout.length_unit]
+    poses = np.hstack([table.stack(*POSITION_COLUMNS) + lever, (turns * T_body_sensor.rotation).as_quat()])
+    names = (*POSITION_COLUMNS, *QUATERNION)
+    return replace(table, columns=table.columns | dict(zip(names, poses.T, strict=True)))
+
+
+def recording_of_table(
+    table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
+) -> Recording:
     """Join field samples with the poses of a trajectory file."""
-    table.require(["t", *FIELD_COLUMNS], "With a trajectory the samples need times on its clock")
+    hint = advise(table.names) if table.has("t") else "With a trajectory the samples need times on its clock"
+    table.require(["t", *FIELD_COLUMNS], hint)
     table.require_increasing("t")
-    ignored = [name for name in (*POSITION_COLUMNS, *QUATERNION) if table.has(name)]
+    ignored = [name for name in (*POSITION_COLUMNS, *GLOBAL_COLUMNS, *QUATERNION) if table.has(name)]
     if ignored:
         logger.warning(
             "%s: columns %s are ignored, poses come from %s", table.path, ", ".join(ignored), layout.trajectory
@@ -56,31 +110,45 @@ def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
 
 
 def read_points(path: str | Path, layout: SurveyFormat) -> Points:
-    """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order."""
-    table = read_table(path, POSITION_COLUMNS)
-    table.require(POSITION_COLUMNS)
-    return table.stack(*POSITION_COLUMNS) * METRE_PER_UNIT[layout.length_unit]
+    """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order; or of places on the globe.
+
+    Of these the layout must state the origin.
+    """
+
+    def choose(names: Sequence[str]) -> Mapping[str, str]:
+        own = (*POSITION_COLUMNS, *GLOBAL_COLUMNS) if layout.origin else POSITION_COLUMNS
+        return {theirs: ours for theirs, ours in choose_columns(path, names, {}).ours.items() if ours in own}
+
+    table = read_table(path, POSITION_COLUMNS, choose=choose)
+    table = table.renamed(choose(table.names))
+    names, metre = position_columns(table), METRE_PER_UNIT[layout.length_unit]
+    table.require(names)
+    return (
+        table.stack(*names) * metre if names == POSITION_COLUMNS else local_positions(table, metre, layout.origin)[0]
+    )
 
 
-def _require_own_poses(table: Table) -> None:
+def _at_rate(table: Table, layout: SurveyFormat) -> Table:
+    """Give the samples times where a rate is stated; rows that were left out took their time too."""
+    if layout.rate is None:
+        return table
+    if "t" in layout.stated_columns():
+        msg = "--rate: expected a table without times; found a column stated for t: leave one of them out"
+        raise ConfigurationError(msg)
+    if table.has("t"):
+        logger.warning("%s: column t is ignored, times come from the rate that is stated", table.path)
+    rows = table.line_numbers - table.line_numbers[0] if layout.recover else np.arange(len(table))
+    return replace(table, columns=table.columns | {"t": rows / layout.rate})
+
+
+def _require_own_poses(table: Table, hint: str) -> None:
     """Raise DataFormatError, with advice, where columns of a survey are missing."""
-    hint = _advice(table.names)
-    if table.has("x", "y", *FIELD_COLUMNS):
-        hint = "A survey on one height has a column z too; all 0 will do"
-    elif table.has(*POSITION_COLUMNS):
+    names = position_columns(table)
+    missing = [name for name in names if not table.has(name)]
+    if not missing:
         hint = f"All three components of the field are needed, its magnitude alone will not do. {hint}"
-    elif table.has("t", *FIELD_COLUMNS) and not _is_global(table.names):
-        hint = "A log without positions takes them from a TUM file: --trajectory POSES.tum"
-    table.require([*POSITION_COLUMNS, *FIELD_COLUMNS], hint)
-
-
-def _advice(names: Sequence[str]) -> str:
-    """What to do about a table without the columns of a survey, from the names it has."""
-    if _is_global(names):
-        return "Degrees of latitude and longitude are no positions in metres: project them first (UTM, a local plane)"
-    return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
-
-
-def _is_global(names: Sequence[str]) -> bool:
-    """Whether a table holds places on the globe."""
-    return any(name.startswith("lat") for name in names) and any(name.startswith("lon") for name in names)
+    elif table.has(*FIELD_COLUMNS) and missing in (["z"], ["alt"]):
+        hint = "A survey on one height states it for all samples: --columns z=0"
+    elif table.has("t", *FIELD_COLUMNS) and len(missing) == len(names):
+        hint = f"A log without positions takes them from a TUM file: --trajectory POSES.tum. {hint}"
+    table.require([*names, *FIELD_COLUMNS], hint)

@@ -1,68 +1,40 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """EuRoC CSV: ``#timestamp [ns], ...`` above rows of numbers, whole nanoseconds first, quaternions wxyz."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.tables.nanoseconds import seconds_of
-from magmatch.data.tables.table import Table, read_table
-from magmatch.data.tables.text import text_blocks
+from magmatch.data.tables.ordered_table import read_ordered
+from magmatch.data.tables.table import Table
 from magmatch.data.trajectory import Trajectory
+from magmatch.data.units import LengthUnit
 from magmatch.errors import DataFormatError
-from magmatch.typing import Indices
 
 POSE_COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 FIELD_COLUMNS = ("t", "bx", "by", "bz")
 
 
-def read_euroc_trajectory(path: str | Path) -> Trajectory:
+def read_euroc_trajectory(path: str | Path, length_unit: LengthUnit = "m", *, recover: bool) -> Trajectory:
     """Read the poses of a ground truth or an estimate."""
-    return Trajectory.from_table(_read(path, POSE_COLUMNS))
+    return Trajectory.from_table(_read(path, POSE_COLUMNS, length_unit, recover=recover))
 
 
-def read_euroc_field(path: str | Path) -> Table:
+def read_euroc_field(path: str | Path, *, recover: bool) -> Table:
     """Read the rows of a magnetometer."""
-    return _read(path, FIELD_COLUMNS)
+    return _read(path, FIELD_COLUMNS, lone="b", recover=recover)
 
 
-def _read(path: str | Path, names: tuple[str, ...]) -> Table:
-    """Rows with their stamps as seconds, rounded once."""
-    n_columns = _width(path)
-    if n_columns < len(names):
-        raise DataFormatError(path, f"expected rows of {', '.join(names)}; found {n_columns} cells")
-    rest = tuple(f"column {k + 1}" for k in range(len(names), n_columns))
-    table = read_table(path, names, (*names, *rest))
-    table.require_increasing("t")
-    stamps = _stamps(path, table)
-    times = seconds_of(stamps.tolist())
-    wrong = np.flatnonzero(np.diff(times) <= 0)
-    if len(wrong):
-        message = "time steps are shorter than float64 seconds can tell apart"
-        raise DataFormatError(path, message, line=int(table.line_numbers[wrong[0] + 1]), column="t")
-    return replace(table, columns=table.columns | {"t": times})
-
-
-def _width(path: str | Path) -> int:
-    """Cells of the first row."""
-    for block in text_blocks(path):
-        for line in block.lines:
-            if line.strip() and not line.lstrip().startswith("#"):
-                return len(line.rstrip(", \t").split(","))
-    return 1
-
-
-def _stamps(path: str | Path, table: Table) -> Indices:
-    """First cells of all rows as whole numbers, which float64 cannot hold."""
-    stamps, n = np.empty(len(table), dtype=np.int64), 0
-    for block in text_blocks(path):
-        stop = int(np.searchsorted(table.line_numbers, block.start + len(block.lines), side="right"))
-        for line in table.line_numbers[n:stop].tolist():
-            stamp = block.lines[line - block.start - 1].split(",")[0].strip()
-            if not stamp.isdecimal() or len(stamp) > 19 or int(stamp) >= 2**63:
-                message = f"expected whole nanoseconds, found {stamp[:40]!r}"
-                raise DataFormatError(path, message, line=line, column="t")
-            stamps[n] = int(stamp)
-            n += 1
-    return stamps
+def _read(
+    path: str | Path, order: tuple[str, ...], length_unit: LengthUnit = "m", lone: str = "", *, recover: bool
+) -> Table:
+    """Rows with their stamps as seconds: of nanoseconds, unless the header states another unit."""
+    table, unit = read_ordered(path, order, "ns", length_unit, lone, recover=recover)
+    if unit == "ns":
+        stamps = table.columns["t"] * 1e9
+        # A thousandth, since the products are rounded; stamps are 64-bit integers.
+        wrong = np.flatnonzero((np.abs(stamps - np.rint(stamps)) > 1e-3) | (stamps < 0) | (stamps >= 2**63))
+        if len(wrong):
+            message = f"expected whole nanoseconds, found '{stamps[wrong[0]]:.15g}'; are they in s: timestamp [s]?"
+            raise DataFormatError(path, message, line=int(table.line_numbers[wrong[0]]), column="t")
+    return table

@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.data.tables.number_marks import number_of_text
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.yaml_text import load_yaml
@@ -26,7 +27,7 @@ def read_extrinsic(text: str) -> RigidTransform:
     [0.1, 0.0, 0.3]
     """
     try:
-        numbers = [float(word) for word in text.replace(",", " ").split()]
+        numbers = [number_of_text(word) for word in text.replace(",", " ").split()]
     except ValueError:
         return _from_yaml(Path(text))
     if problem := _problem(numbers):

@@ -6,30 +6,50 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from magmatch.data.survey_columns import MAY_BE_CONSTANT, constant_of
+from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
 from magmatch.settings import Settings
 
-COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw")
+COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw", "lat", "lon", "alt")
 
 
 class SurveyFormat(Settings):
     """How to read a survey file; the defaults are the package's own units and frame."""
 
     field_unit: FieldUnit = Field(default="T", description="Unit of the field (phone logs: uT).")
-    length_unit: LengthUnit = Field(default="m", description="Unit of the positions (in a trajectory file too).")
+    length_unit: LengthUnit = Field(
+        default="m", description="Unit of the positions that are used: the file's own, or those of --trajectory."
+    )
     field_frame: Literal["survey", "sensor"] = Field(
         default="survey",
         description="Frame of the field vectors: the survey's, or the sensor's, which needs orientations. Default "
         "for bags, MCAP and phone logs: sensor, unless they name the survey's frame.",
     )
-    time_unit: TimeUnit = Field(default="s", description="Unit of the times in a table.")
+    time_unit: TimeUnit = Field(
+        default="s", description="Unit of the times in a table (those of --trajectory: --trajectory-time-unit)."
+    )
+    decimal: Decimal | None = Field(
+        default=None, description="Decimal mark of a table's numbers, where they leave it in doubt (17,971)."
+    )
     columns: str | None = Field(
-        default=None, description="Names of a table's columns, if they differ: x=pos_x,bx=mag_x,..."
+        default=None,
+        description="A table's columns: by name (x=pos_x,bx=mag_x,...), by number, counted from 1 (t=1,bx=2,...), or "
+        "one constant for all rows (z=0, z=1.20). A minus reverses a column (by=-mag_y).",
+    )
+    rate: float | None = Field(default=None, gt=0, description="Samples per second of a table without times.")
+    origin: str | None = Field(
+        default=None,
+        description="LATITUDE,LONGITUDE[,ALTITUDE]: where columns lat, lon, alt are x = y = z = 0, in metres east, "
+        "north and up. Default: near the first sample.",
     )
     trajectory: Path | None = Field(
         default=None,
         description="Take the poses from this TUM (t x y z qx qy qz qw) or EuRoC file, interpolated in time.",
+    )
+    trajectory_time_unit: TimeUnit = Field(
+        default="s", description="Unit of the times in the TUM file of --trajectory."
     )
     mag_topic: str | None = Field(default=None, description="Topic of the field, if a log has several.")
     pose_topic: str | None = Field(default=None, description="Topic of the poses, if a log has several.")
@@ -40,10 +60,12 @@ class SurveyFormat(Settings):
         default=None,
         description="Pose of the magnetometer on the body whose poses are given: 'x y z qx qy qz qw' (metres; "
         "takes sensor to body coordinates) or a YAML file with translation and rotation. Default: from "
-        "tf_static, else no offset.",
+        "tf or the robot's description, else no offset.",
     )
     recover: bool = Field(
-        default=False, description="Read the intact part of a damaged log or survey CSV, and report what was lost."
+        default=False,
+        description="Read the intact part of a damaged log or table (not Parquet), and of --trajectory, and report "
+        "what was lost.",
     )
     # None: the file's value (files written by this package have one), else 0, which means unknown or exact.
     pose_sd: float | None = Field(
@@ -56,15 +78,25 @@ class SurveyFormat(Settings):
             update={key: value for key, value in found.items() if key not in self.model_fields_set}
         )
 
-    def column_names(self) -> dict[str, str]:
-        """Our names of columns by the file's (lower case), as far as `columns` states them."""
-        names = {}
+    def stated_columns(self) -> dict[str, str]:
+        """What `columns` states for our names of columns: the file's name (lower case), a number or a constant."""
+        stated: dict[str, str] = {}
         for pair in () if self.columns is None else self.columns.split(","):
             ours, mark, theirs = (part.strip() for part in pair.partition("="))
-            if not mark or ours not in COLUMN_NAMES or not theirs or theirs.lower() in names:
+            if not mark or ours not in COLUMN_NAMES or not theirs or ours in stated:
                 msg = (
                     f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
                 )
                 raise ConfigurationError(msg)
-            names[theirs.lower()] = ours
-        return names
+            stated[ours] = theirs.removeprefix("-").lower() if self._is_reversed(ours, theirs) else theirs.lower()
+        return stated
+
+    def reversed_columns(self) -> tuple[str, ...]:
+        """Our names of the columns that `columns` states with a minus."""
+        pairs = [pair.partition("=")[::2] for pair in (self.columns or "").split(",")]
+        return tuple(ours.strip() for ours, theirs in pairs if self._is_reversed(ours.strip(), theirs.strip()))
+
+    @staticmethod
+    def _is_reversed(ours: str, theirs: str) -> bool:
+        """Whether a minus reverses a column: before the number of one that may be constant, it is the constant's."""
+        return theirs.startswith("-") and not (ours in MAY_BE_CONSTANT and constant_of(theirs) is not None)

@@ -2,56 +2,79 @@
 """MATLAB files: named arrays of numbers as the columns of a survey (version 7.3 by h5py)."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.mat5 import Mat5
-from magmatch.data.survey_columns import wanted_columns
+from magmatch.data.formats.mat5 import DEEPEST, Mat5
+from magmatch.data.survey_columns import (
+    COLUMNS,
+    FIELD_COLUMNS,
+    GLOBAL_COLUMNS,
+    choose_columns,
+    constant_of,
+    position_columns,
+)
 from magmatch.data.tables.gzipped import most_unpacked, plain_file
+from magmatch.data.tables.nanoseconds import seconds_of_column
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
-from magmatch.data.tables.text_rows import listed
+from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
-_HINT = "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
+# Arrays named in a message.
+MOST_LISTED = 24
 
 
 def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
     """Read the columns of a survey from the arrays of a MATLAB file; rows count from 1 as lines in messages.
 
-    An array is named as it is, ``data.mag`` within a structure; ``mag:2`` is the second column of one with several.
+    An array is named as it is, ``data.mag`` within a structure, ``data.3.mag`` within the third of several; ``mag:2``
+    is the second column of one with several.
     """
-    theirs = layout.column_names()
-    known = wanted_columns(theirs)
+    stated = layout.stated_columns()
+    own = (*COLUMNS, *(name for names in GLOBAL_COLUMNS.values() for name in names))
     is_v5 = read_bytes(path, 19) == b"MATLAB 5.0 MAT-file"
     with plain_file(path) as place:
         try:
-            arrays = (_arrays_of_v5 if is_v5 else _arrays_of_hdf5)(place, {name.partition(":")[0] for name in known})
+            wanted = {text.partition(":")[0] for text in (*stated.values(), *own)}
+            arrays = (_arrays_of_v5 if is_v5 else _arrays_of_hdf5)(place, wanted)
         except MagmatchError:
             raise
         except Exception as error:  # h5py raises whatever it stumbles over
             words = " ".join(str(error).split())[:150]
             raise DataFormatError(place, f"is a damaged MATLAB file ({words})") from None
-        lower = {name.lower(): name for name in arrays}
+        # Of the survey's own names only vectors are columns; what is stated may be a column of an array.
+        vectors = [name for name in own if name in arrays and arrays[name].size == max(arrays[name].shape, default=1)]
+        there = [text for text in stated.values() if text.partition(":")[0] in arrays]
+        missing = [text for text in stated.values() if text not in there and constant_of(text) is None]
+        names = list(dict.fromkeys([*there, *vectors]))
+        if missing or not set(names) - {"t"}:
+            expected = ", ".join(missing) or "x, y, z, bx, by, bz"
+            found = ", ".join(_listing(place, is_v5=is_v5))
+            raise DataFormatError(place, f"expected arrays {expected}; found {found}. {advice_for_arrays()}")
+        chosen = choose_columns(place, names, stated, has_poses=layout.trajectory is None)
+        ticks = {name: UNITS_PER_SECOND[layout.time_unit] for name, ours in chosen.ours.items() if ours == "t"}
         columns = {
-            ours: _column(place, name, arrays[lower[name.partition(":")[0]]])
-            for name, ours in known.items()
-            if name.partition(":")[0] in lower
+            name: seconds_of_column(_column(place, name, arrays[name.partition(":")[0]]), ticks.get(name, 1.0))
+            for name in chosen.ours
         }
-        missing = [name for name in theirs if known[name] not in columns]
-        if missing or not columns.keys() - {"t"}:
-            wanted = ", ".join(missing) or "x, y, z, bx, by, bz"
-            raise DataFormatError(
-                place, f"expected arrays {wanted}; found {listed(_names(place, is_v5=is_v5))}. {_HINT}"
-            )
-        return _table(place, columns, recover=layout.recover)
+        table = chosen.of(_table(place, columns, recover=layout.recover))
+        # Only for the message about what is missing: it costs another look at the file.
+        is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
+        return table if is_whole else replace(table, names=_listing(place, is_v5=is_v5))
+
+
+def advice_for_arrays(_names: Sequence[str] = ()) -> str:
+    """What to do about a file whose arrays have other names."""
+    return "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 
 
 def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Table:
@@ -73,20 +96,20 @@ def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Tabl
     return Table(path, tuple(columns), {k: v[numbers] for k, v in columns.items()}, numbers + 1, ())
 
 
-def _column(path: Path, name: str, array: np.ndarray) -> Scalars:
-    """One column of an array as float64."""
+def _column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
+    """One column of an array."""
     what, mark, number = name.partition(":")
     if array.dtype.kind not in "iuf" or array.ndim > 2 or array.size == 0:
         message = f"expected an array of numbers, found {array.dtype.name[:20]} of {_shape(array)}"
         raise DataFormatError(path, message, column=what)
     if not mark and array.size == max(array.shape, default=1):
-        return array.reshape(-1).astype(np.float64)
+        return array.reshape(-1)
     rows = array if array.ndim == 2 else array.reshape(1, -1)
     rows = rows if rows.shape[0] <= rows.shape[1] else rows.T
     if not number.isdecimal() or not 1 <= int(number) <= len(rows):
         example = f"{what}:1" + (f" to {what}:{len(rows)}" if len(rows) > 1 else "")
         raise DataFormatError(path, f"expected one column of {_shape(array)}, {example}; found '{name}'", column=what)
-    column: Scalars = rows[int(number) - 1].astype(np.float64)
+    column: np.ndarray = rows[int(number) - 1]
     return column
 
 
@@ -129,6 +152,8 @@ def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
             return found
         if found.external or found.is_virtual:
             raise DataFormatError(path, "the array lies in other files; expected one file", column=key)
+        if found.shape is None:
+            raise DataFormatError(path, "expected an array of numbers, found an empty one", column=key)
         _bound_array(path, key, found.size * found.dtype.itemsize // 8 if found.size else 0)
         return np.asarray(found).T
 
@@ -136,15 +161,31 @@ def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
         return _walked(wanted, file, child)
 
 
-def _names(path: Path, *, is_v5: bool) -> tuple[str, ...]:
-    """What is there, for a message."""
+def _listing(path: Path, *, is_v5: bool) -> tuple[str, ...]:
+    """What is there, for a message: arrays as they are named by `read_mat`, with their sizes."""
     try:
         if is_v5:
-            return tuple(name for name, _ in Mat5(path).variables(()))
-        with import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab").File(path, "r") as file:
-            return tuple(file)
+            return _leaves(dict(Mat5(path).variables(None)), dict)
+        h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
+        with h5py.File(path, "r") as file:
+            return _leaves({name: file[name] for name in file if not name.startswith("#")}, (dict, h5py.Group))
     except Exception:  # as above
         return ()
+
+
+def _leaves(root: Any, branch: Any) -> tuple[str, ...]:
+    """Names with dots of all that is no structure."""
+    names: list[str] = []
+    waiting: list[tuple[str, Any]] = [("", root)]
+    while waiting and len(names) < MOST_LISTED:
+        name, place = waiting.pop(0)
+        if isinstance(place, branch) and name.count(".") < DEEPEST:
+            prefix = f"{name}." if name else ""
+            waiting[:0] = [(prefix + key, place.get(key)) for key in place]
+        else:
+            shape = getattr(place, "shape", None)
+            names.append(name[:60] + (f" ({' x '.join(map(str, shape))})" if shape else ""))
+    return (*names, "...") if waiting else tuple(names)
 
 
 def _bound_array(path: Path, name: str, n_numbers: int) -> None:

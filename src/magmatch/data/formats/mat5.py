@@ -13,8 +13,8 @@ import numpy as np
 from magmatch.data.tables.gzipped import most_unpacked
 from magmatch.errors import DataFormatError
 
-# Structures within structures that are read, stated in docs/formats.md.
-DEEPEST = 8
+# Structures within structures, and in one array, that are read; stated in docs/formats.md.
+DEEPEST, MOST_STRUCTURES = 8, 1000
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15
 _STRUCTURE, _NUMBERS = 2, range(6, 16)
@@ -95,8 +95,8 @@ class Mat5:
             return title, None
         if kind in _NUMBERS and not flag & _COMPLEX:
             return title, self._numbers(data, at, shape, title)
-        if kind == _STRUCTURE and math.prod(shape) == 1 and depth < DEEPEST:
-            return title, self._fields(data, at, depth)
+        if kind == _STRUCTURE and 1 <= math.prod(shape) <= MOST_STRUCTURES and depth < DEEPEST:
+            return title, self._structures(data, at, depth, math.prod(shape))
         return title, None
 
     def _numbers(self, data: memoryview, at: int, shape: tuple[int, ...], title: str) -> np.ndarray:
@@ -109,19 +109,21 @@ class Mat5:
             self._refuse(f"expected {math.prod(shape) * dtype.itemsize} bytes, found {found}", title)
         return np.frombuffer(payload, dtype).reshape(shape, order="F")
 
-    def _fields(self, data: memoryview, at: int, depth: int) -> dict[str, object]:
-        """Fields of a structure."""
+    def _structures(self, data: memoryview, at: int, depth: int, n_structures: int) -> dict[str, object]:
+        """Fields of a structure; of several, by their numbers, counted from 1."""
         _, width, at = self._element(data, at)
         _, names, at = self._element(data, at)
         n = int.from_bytes(width, "little" if self._order == "<" else "big")
         if n < 1 or len(names) % n:
             self._refuse("a structure without names of its fields")
-        fields: dict[str, object] = {}
-        for start in range(0, len(names), n):
-            kind, field, at = self._element(data, at)
-            title = bytes(names[start : start + n]).partition(b"\0")[0].decode("latin-1")
-            fields[title] = self._matrix(field, depth + 1, None)[1] if kind == _MATRIX and len(field) else None
-        return fields
+        structures: list[dict[str, object]] = []
+        for _ in range(n_structures):
+            structures.append(fields := {})
+            for start in range(0, len(names), n):
+                kind, field, at = self._element(data, at)
+                title = bytes(names[start : start + n]).partition(b"\0")[0].decode("latin-1")
+                fields[title] = self._matrix(field, depth + 1, None)[1] if kind == _MATRIX and len(field) else None
+        return structures[0] if n_structures == 1 else {str(k): one for k, one in enumerate(structures, start=1)}
 
     def _refuse(self, words: str, column: str | None = None) -> NoReturn:
         raise DataFormatError(self.path, f"is a damaged MATLAB file: {words}", column=column) from None

@@ -2,7 +2,8 @@
 """Parquet tables of samples: the columns of the survey CSV, in binary."""
 
 import json
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,17 @@ import numpy as np
 from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import SCHEMA, wanted_columns
+from magmatch.data.survey_columns import SCHEMA, choose_columns
 from magmatch.data.tables.gzipped import plain_file
-from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
-from magmatch.data.tables.text_rows import require_stated
-from magmatch.errors import DataFormatError, import_extra
+from magmatch.data.units import UNITS_PER_SECOND
+from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
+
+logger = logging.getLogger(__name__)
 
 # Bounds, stated in docs/formats.md: a column of equal values takes no room in the file, but does in memory.
 MAX_ROWS = 50_000_000
@@ -32,37 +35,56 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     """Read the columns of a survey from a Parquet file."""
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
-        stated = layout.column_names()
-        require_stated(path, names, stated)
-        known = wanted_columns(stated)
-        wanted = {name: known[name.lower()] for name in names if name.lower() in known}
-        if len(set(wanted.values())) < len(wanted):
-            raise DataFormatError(path, f"holds a column twice: {', '.join(sorted(wanted))}")
+        chosen = choose_columns(path, names, layout.stated_columns(), has_poses=layout.trajectory is None)
+        wanted = {name: chosen.ours[name.lower()] for name in names if name.lower() in chosen.ours}
+        if "t" not in wanted.values():
+            wanted |= _index_of_dates(Path(path), file, pa)
         for name in wanted:
             _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
-        found = _columns(Path(path), file, list(wanted), pa)
+        clock = next((name for name, ours in wanted.items() if ours == "t"), None)
+        found = _columns(Path(path), file, list(wanted), pa, {clock: UNITS_PER_SECOND[layout.time_unit]})
         about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
     n_rows = len(next(iter(found.values()), ()))
     columns = {wanted[name]: values for name, values in found.items()}
-    return Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+    table = Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
+    return chosen.with_constants(table)
+
+
+def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:
+    """The times among what pandas calls an index without a name: increasing dates; of others a warning says so."""
+    for name in file.schema_arrow.names:
+        kind = file.schema_arrow.field(name).type
+        if not name.startswith("__index_level_") or pa.types.is_integer(kind):
+            continue
+        try:
+            values = _columns(path, file, [name], pa, {})[name] if pa.types.is_timestamp(kind) else np.zeros(2)
+        except DataFormatError:  # a date is missing
+            values = np.zeros(2)
+        if (np.diff(values) > 0).all():
+            return {name: "t"}
+        words = "%s: has no column t, and its index without a name is left out; if it holds the times: --columns t=%s"
+        logger.warning(words, path, name)
+    return {}
 
 
 def read_other_columns(
     path: str | Path, layout: SurveyFormat, most: int
 ) -> tuple[Scalars | None, dict[str, Scalars]]:
-    """Times (in the file's unit, stamps in s) and the finite number columns that are none of a survey's."""
-    known = wanted_columns(layout.column_names())
+    """Times in s, and the finite number columns that are none of a survey's."""
     columns: dict[str, Scalars] = {}
     with _opened(path) as (file, pa):
         schema, times = file.schema_arrow, None
+        names, has_poses = [str(name) for name in schema.names], layout.trajectory is None
+        known = choose_columns(path, names, layout.stated_columns(), has_poses=has_poses).ours
         for name in schema.names:
             ours = known.get(name.lower())
             if (ours is None and len(columns) == most) or ours not in (None, "t") or schema.names.count(name) > 1:
                 continue
             try:
                 _require_numbers(Path(path), name, schema.field(name).type, pa)
-                values = _columns(Path(path), file, [name], pa)[name]
+                per_second = {name: UNITS_PER_SECOND[layout.time_unit]} if ours == "t" else {}
+                values = _columns(Path(path), file, [name], pa, per_second)[name]
             except DataFormatError:
                 continue
             if ours == "t":
@@ -82,14 +104,16 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
         with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False, **limits) as file:
             yield file, pa
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-        if isinstance(error, DataFormatError):
+        if isinstance(error, MagmatchError):
             raise
         words = " ".join(str(error).split())[:150]
         raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
 
 
-def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scalars]:
-    """Some columns, read in pieces."""
+def _columns(
+    path: Path, file: Any, names: list[str], pa: Any, per_second: Mapping[str | None, float]
+) -> dict[str, Scalars]:
+    """Some columns, read in pieces; numbers of one that `per_second` names become seconds."""
     n_rows, size = file.metadata.num_rows, at_rest(path).stat().st_size
     if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * size):
         message = f"declares {n_rows} rows in {size} bytes, expected at most {MAX_ROWS}"
@@ -98,7 +122,7 @@ def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scal
     n_read = 0
     for batch in file.iter_batches(batch_size=65_536, columns=names, use_threads=False):
         for name in names:
-            blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa))
+            blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa, per_second.get(name, 1.0)))
         n_read += batch.num_rows
         if n_read > n_rows:
             raise DataFormatError(path, f"holds more than the {n_rows} rows it declares")
@@ -110,11 +134,13 @@ def _columns(path: Path, file: Any, names: list[str], pa: Any) -> dict[str, Scal
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
     is_number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
     if not is_number:
-        raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}", column=name)
+        raise DataFormatError(
+            path, f"expected a column of numbers, found {str(kind)[:60]}; store it as float64", column=name
+        )
 
 
-def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars:
-    """A piece of a column as float64, all of it finite."""
+def _numbers(path: Path, name: str, column: Any, first: int, pa: Any, per_unit: float) -> Scalars:
+    """A piece of a column as float64, all of it finite; numbers that count parts of a unit are divided, no stamps."""
     if column.null_count:
         row = int(np.argmin(column.is_valid().to_numpy(zero_copy_only=False)))
         raise DataFormatError(path, "expected a number, found null", line=first + row + 1, column=name)
@@ -122,7 +148,7 @@ def _numbers(path: Path, name: str, column: Any, first: int, pa: Any) -> Scalars
         # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
         stamps = column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
         return seconds_of(stamps.tolist())
-    values: Scalars = column.to_numpy(zero_copy_only=False).astype(np.float64)
+    values = seconds_of_column(column.to_numpy(zero_copy_only=False), per_unit)
     wrong = np.flatnonzero(~np.isfinite(values))
     if len(wrong):
         message = f"expected a finite number, found {values[wrong[0]]}"

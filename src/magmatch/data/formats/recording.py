@@ -75,7 +75,11 @@ class Recording:
             raise DataFormatError(self.path, message, column="t")
         if n_covered < len(times):
             n_dropped, n_before = len(times) - n_covered, int((times < poses.times[0]).sum())
-            logger.warning(
+            # Two sensors that start and stop together still read up to an interval apart.
+            usual = max(float(np.median(np.diff(times))), float(np.median(np.diff(poses.times))))
+            is_news = max(poses.times[0] - times[0], times[-1] - poses.times[-1]) > usual
+            logger.log(
+                logging.WARNING if is_news else logging.INFO,
                 "%s: dropped %d of %d samples without a pose (%d before the trajectory begins, %d after it ends)",
                 self.path, n_dropped, len(times), n_before, n_dropped - n_before,
             )  # fmt: skip

@@ -20,9 +20,10 @@ from magmatch.data.formats.phones.containers import (
 from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.tables.gzipped import is_gzip
+from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import is_folder, read_bytes, text_lines
-from magmatch.data.tables.text_rows import is_number
+from magmatch.data.tables.text_rows import is_row, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.errors import DataFormatError
 
@@ -107,7 +108,10 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     if len(head) == _HEAD and b"\n" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
     lines = [line.strip() for line in text_lines(path, head)]
-    first = next((line for line in lines if line and not line.startswith("#")), "")
+    rows = [line for line in lines if is_row(line)][:2]
+    if rows and stated_delimiter(rows[0]):
+        rows.pop(0)
+    first = rows[0] if rows else ""
     if is_phone_header(first):
         return "phone"
     cells = first.split()

@@ -23,7 +23,6 @@ POSE_TYPES = (
     "geometry_msgs/TransformStamped",
     "geometry_msgs/PointStamped",
 )
-STATIC_TOPICS = ("/tf_static", "tf_static")
 
 
 def choose_topics(
@@ -47,10 +46,23 @@ def choose_topics(
 
 
 def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
-    """Whether poses come from a topic of their own; else only the tree of frames may hold them."""
+    """Whether poses come from a topic of their own; else only the tree of frames may hold them.
+
+    A single pose is a goal or a start, not a path, and what cannot be decoded is none of either.
+    """
     if pose_topic is not None:
-        return not any(topic.name == pose_topic and topic.type in TREES for topic in topics)
-    return any(topic.count and topic.type in POSE_TYPES for topic in topics)
+        return not any(is_named(topic, pose_topic) and topic.type in TREES for topic in topics)
+    return any(topic.count > 1 and topic.type in POSE_TYPES and topic.encoding in ENCODINGS for topic in topics)
+
+
+def share_time(field: Topic, pose: Topic | None) -> bool:
+    """Whether messages of both were logged in one stretch of time: goals may be set before the field is recorded."""
+    return pose is not None and _shared((field, pose)) > 0
+
+
+def is_named(topic: Topic, name: str) -> bool:
+    """Whether a topic has a name, with or without the slash in front."""
+    return topic.name.lstrip("/") == name.lstrip("/")
 
 
 def _tell_choice(path: Path, chosen: Topic, among: Sequence[Topic], what: str, flag: str) -> None:
@@ -71,14 +83,13 @@ def _candidates(
 ) -> list[Topic]:
     """Topics that may serve."""
     flag = "--mag-topic" if what == "field" else "--pose-topic"
-    named = [topic for topic in topics if name is None or topic.name == name or topic.name == "/" + name]
+    named = [topic for topic in topics if name is None or is_named(topic, name)]
     if not named and name is not None:
         raise DataFormatError(path, f"{flag} {name}: no such topic; the log holds {describe_topics(topics)}")
     typed = [topic for topic in named if topic.type in types]
     if not typed:
-        found = describe_topics(named)
-        hint = "" if what == "field" else "; poses from elsewhere: --trajectory POSES.tum, or --pose-frames MAP,BODY"
-        raise DataFormatError(path, f"expected a {what} topic ({', '.join(types)}), found {found}{hint}")
+        expected = f"expected a {what} topic ({', '.join(types)}), found {describe_topics(named)}"
+        raise DataFormatError(path, f"{expected}{_remedy(topics, what)}")
     readable = [topic for topic in typed if topic.encoding in ENCODINGS]
     if not readable:
         message = f"{typed[0].name} is encoded as {typed[0].encoding!r}, expected {', '.join(ENCODINGS)}"
@@ -87,6 +98,17 @@ def _candidates(
     if not filled:
         raise DataFormatError(path, f"{what} topic {readable[0].name} holds no messages")
     return filled
+
+
+def _remedy(topics: Sequence[Topic], what: str) -> str:
+    """What helps a log without a topic of the usual types, as far as it holds anything that could."""
+    if what == "pose":
+        tf = ", or --pose-frames MAP,BODY" if any(topic.type in TREES for topic in topics) else ""
+        return f"; poses from elsewhere: --trajectory POSES.tum{tf}"
+    may_be = [topic.name for topic in topics if topic.type in FIELD_TYPES_IF_NAMED and topic.count]
+    may_be.sort(key=lambda name: "mag" not in name.lower())
+    also = f" (or {', '.join(may_be[1:8])})" if may_be[1:] else ""
+    return f"; if vectors of the field are on it: --mag-topic {may_be[0]}{also}" if may_be else ""
 
 
 def _shared(pair: tuple[Topic, Topic]) -> float:

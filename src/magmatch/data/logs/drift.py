@@ -38,15 +38,17 @@ def read_drift(path: str | Path, layout: SurveyFormat | None = None) -> tuple[fl
     topic = next((t for t in topics if t.name == chosen["poses"]), None)
     if topic is None or topic.type != ODOMETRY or topic.encoding == "json":
         return None
-    places, covariances = [np.zeros((0, 3))], [np.zeros((0, 36))]
+    log_ns, places, covariances = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 36))]
     with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
-        for channel, _, payloads in batches(log.messages({topic.name})):
-            for _, content in decode(channel, payloads):
+        for channel, times, payloads in batches(log.messages({topic.name})):
+            for rows, content in decode(channel, payloads):
                 if isinstance(content, dict):
                     pose = content["pose"]
+                    log_ns.append(np.array(times, dtype=np.int64)[rows])
                     places.append(np.column_stack([pose["pose"]["position"][k] for k in "xyz"]).astype(float))
                     covariances.append(np.asarray(pose["covariance"], dtype=float))
-    found = drift(np.concatenate(places), np.concatenate(covariances).reshape(-1, 6, 6))
+    order = np.argsort(np.concatenate(log_ns), kind="stable")
+    found = drift(np.concatenate(places)[order], np.concatenate(covariances).reshape(-1, 6, 6)[order])
     if found is not None:
         logger.info("%s: its odometry states a drift of %.2g m and %.2g degrees in 10 m", path, *found)
     return found

@@ -13,7 +13,10 @@ from magmatch.data.logs.streams import in_order
 from magmatch.data.tables.nanoseconds import seconds_of
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
-from magmatch.typing import Mask, Scalars
+from magmatch.typing import Mask, Matrix, Scalars
+
+# m, and parts of a quaternion: some publishers work out a mount of a few metres in single precision each time.
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +28,7 @@ class FrameTree:
 
     def static_transform(self, to: str, frm: str) -> RigidTransform | None:
         """``T_to_from`` along static edges; None where they do not connect the two."""
-        path = _path(list(self.static), to, frm)
+        path = path_between(list(self.static), to, frm)
         if path is None:
             return None
         T = RigidTransform.identity()
@@ -48,7 +51,7 @@ class FrameTree:
 
     def trajectory(self, path: Path, to: str, frm: str) -> Trajectory:
         """``T_to_from`` at every time at which a moving edge between them was stamped and all are known."""
-        edges = _path([*self.static, *self.moving], to, frm)
+        edges = path_between([*self.static, *self.moving], to, frm)
         if edges is None:
             message = (
                 f"tf does not connect {frm!r} to {to!r}; it knows {', '.join(self.frames()[:12]) or 'no frames'}"
@@ -82,8 +85,7 @@ class FrameTree:
 
 def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> FrameTree:
     """Build the tree from the messages of ``/tf`` and ``/tf_static``; the last static transform of an edge holds."""
-    fixed = {frames: _transform(part) for frames, part in static.items()}
-    edges = {}
+    fixed, edges = fixed_edges(moving, static), {}
     for frames, part in moving.items():
         if frames in fixed:
             continue
@@ -93,6 +95,31 @@ def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, E
         else:
             fixed[frames] = _transform(part)
     return FrameTree(fixed, edges)
+
+
+def fixed_edges(moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> dict[Frames, RigidTransform]:
+    """Edges that never move: those of ``/tf_static``, and those of ``/tf`` whose messages all say the same."""
+    constant = {frames: part for frames, part in moving.items() if _is_constant(part.values)}
+    return {frames: _transform(part) for frames, part in (constant | static).items()}
+
+
+def extremes(part: Entries) -> Entries:
+    """The few entries of an edge that tell whether it is constant, and the one that was logged last."""
+    if len(part.number) < 2:
+        return part
+    aligned = _aligned(part.values)
+    return part.at(np.unique([*aligned.argmin(axis=0), *aligned.argmax(axis=0), _last(part)]))
+
+
+def _is_constant(values: Matrix) -> bool:
+    """Whether poses are equal but for rounding."""
+    return bool((np.ptp(_aligned(values), axis=0) <= ROUNDING).all())
+
+
+def _aligned(values: Matrix) -> Matrix:
+    """Poses with quaternions on the side of the first: a quaternion and its negative are one rotation."""
+    signs = np.sign(values[:, 3:] @ values[0, 3:])
+    return np.column_stack([values[:, :3], signs[:, None] * values[:, 3:]])
 
 
 def trajectory_of(path: Path, entries: Entries) -> Trajectory:
@@ -112,10 +139,16 @@ def distinct_seconds(entries: Entries) -> tuple[Scalars, Mask]:
 
 
 def _transform(part: Entries) -> RigidTransform:
-    return RigidTransform.from_components(part.values[-1, :3], Rotation.from_quat(part.values[-1, 3:]))
+    """The one logged last."""
+    last = part.values[_last(part)]
+    return RigidTransform.from_components(last[:3], Rotation.from_quat(last[3:]))
 
 
-def _path(edges: list[Frames], to: str, frm: str) -> list[tuple[Frames, bool]] | None:
+def _last(part: Entries) -> int:
+    return int(np.argsort(part.log_ns, kind="stable")[-1])
+
+
+def path_between(edges: list[Frames], to: str, frm: str) -> list[tuple[Frames, bool]] | None:
     """Edges from one frame to another, and whether each is passed from parent to child; the fewest possible."""
     steps: dict[str, list[tuple[Frames, bool, str]]] = {}
     for parent, child in edges:

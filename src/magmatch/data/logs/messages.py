@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Stamps, frames and numbers of the message types that a survey is made of."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -49,8 +49,12 @@ class Entries:
 
 @dataclass(slots=True)
 class Decoder:
-    """Decodes the messages of one topic in the order of the file; `faults` are those that are none."""
+    """Decodes the messages of one topic in the order of the file; `faults` are those that are none.
 
+    Where not all entries are needed, `thin` leaves few of those of one edge, so that long logs fit in memory.
+    """
+
+    thin: Callable[[Entries], Entries] | None = None
     faults: list[Fault] = field(default_factory=list)
     _parts: dict[Frames, list[Entries]] = field(default_factory=dict)
     _n: int = 0
@@ -71,6 +75,8 @@ class Decoder:
                 words = content if isinstance(content, str) else no_json(error)
                 self.faults += [(int(n), printable(words)) for n in number]
         self._n += len(payloads)
+        if self.thin is not None:
+            self._parts = {frames: [self.thin(part)] for frames, part in self.entries().items()}
 
     def entries(self) -> dict[Frames, Entries]:
         """All that was decoded, by frames; entries in the order of the file."""

@@ -14,11 +14,11 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import STATIC_TOPICS, choose_topics, has_poses
-from magmatch.data.logs.decode import ENCODINGS
+from magmatch.data.logs.choose import choose_topics, has_poses, share_time
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import TREES, Entries, Frames
+from magmatch.data.logs.messages import Entries, Frames
+from magmatch.data.logs.mount import find_mount, is_static, merged, trees, with_description
 from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
@@ -58,16 +58,18 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     field_topic, pose_topic, moving = _choose(log.path, topics, layout)
     wanted = [field_topic, *([pose_topic] if pose_topic else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
-    fixed = [topic for topic in _trees(topics) if topic.name in STATIC_TOPICS]
+    fixed = [topic for topic in trees(topics) if is_static(topic)]
     read = read_streams(log, [*wanted, *fixed], recover=layout.recover)
     streams, static = settle_clock(log.path, read[: len(wanted)]), read[len(wanted) :]
-    tree = frame_tree(log.path, _merged(streams[len(wanted) - len(moving) :]), _merged(static))
+    tree = frame_tree(log.path, merged(streams[len(wanted) - len(moving) :]), merged(static))
     field = in_order(log.path, field_topic.name, _of_one_frame(log.path, streams[0]))
     sensor = field.frames[0]
+    if moving and sensor not in tree.frames():
+        tree = with_description(log, topics, tree)
     poses = _poses(log.path, layout, streams[1] if pose_topic else None, tree, sensor)
     is_turned = bool(sensor) and sensor == poses.fixed
     frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
-    extrinsic = _extrinsic(log.path, layout, tree, poses, "" if frame == "survey" else sensor)
+    extrinsic = _extrinsic(log, topics, layout, tree, poses, "" if frame == "survey" else sensor)
     times, is_new = distinct_seconds(field)
     delay_ns = float(np.median(field.log_ns - field.stamp_ns))  # of logging, behind the times used
     return Recording(
@@ -110,19 +112,15 @@ def _pose_frames(text: str) -> Frames:
     return names[0], names[1]
 
 
-def _extrinsic(path: Path, layout: SurveyFormat, tree: FrameTree, poses: Poses, sensor: str) -> RigidTransform | None:
-    """Where the sensor sits on the body: stated, from tf_static, or, said aloud, nowhere else."""
+def _extrinsic(
+    log: Log, topics: list[Topic], layout: SurveyFormat, tree: FrameTree, poses: Poses, sensor: str
+) -> RigidTransform | None:
+    """Where the sensor sits on the body: stated, or from wherever the log says it."""
     if layout.extrinsic is not None:
         return read_extrinsic(layout.extrinsic)
     if poses.source is not None or not sensor or sensor == poses.body:
         return None
-    T_body_sensor = tree.static_transform(poses.body, sensor) if poses.body else None
-    if T_body_sensor is None:
-        logger.warning(
-            "%s: nothing says where %r sits on %s; the poses are taken as the magnetometer's own (--extrinsic)",
-            path, sensor, repr(poses.body) if poses.body else "the body whose poses these are",
-        )  # fmt: skip
-    return T_body_sensor
+    return find_mount(log, topics, tree, poses.fixed, poses.body, sensor)
 
 
 def _of_one_frame(path: Path, stream: Stream) -> Entries:
@@ -135,11 +133,6 @@ def _of_one_frame(path: Path, stream: Stream) -> Entries:
             path, stream.topic.name, n, " -> ".join(filter(None, entries.frames)) or "none", n_other,
         )  # fmt: skip
     return entries
-
-
-def _merged(streams: list[Stream]) -> dict[Frames, Entries]:
-    """Edges of several topics; one that several have is taken from the first."""
-    return {frames: part for stream in reversed(streams) for frames, part in stream.entries.items()}
 
 
 def _tell_losses(log: Log) -> None:
@@ -171,17 +164,13 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
 def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
     """Topics of the field and the poses, and those of moving frames where the poses come from them."""
     is_elsewhere = layout.trajectory is not None
+    moving = [topic for topic in trees(topics) if not is_static(topic)]
     has_own = not is_elsewhere and layout.pose_frames is None and has_poses(topics, layout.pose_topic)
-    chosen = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=has_own)
-    trees = [] if is_elsewhere or has_own else _trees(topics)
-    moving = [topic for topic in trees if topic.name not in STATIC_TOPICS]
-    if not (is_elsewhere or has_own or moving):
-        choose_topics(
-            path, topics, layout.mag_topic, layout.pose_topic, needs_pose=True
-        )  # which says what is missing
-    return *chosen, moving
-
-
-def _trees(topics: list[Topic]) -> list[Topic]:
-    """Topics of tf messages that can be read."""
-    return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
+    if has_own:
+        field, pose = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=True)
+        if layout.pose_topic is not None or not moving or share_time(field, pose):
+            return field, pose, []
+    moving = [] if is_elsewhere else moving
+    # Where poses are nowhere else, the choice says what is missing.
+    needs_pose = not (is_elsewhere or moving or layout.pose_frames)
+    return *choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=needs_pose), moving

@@ -12,6 +12,7 @@ from magmatch.data.logs.log import Log, Topic, batches
 from magmatch.data.logs.messages import Decoder, Entries, Fault, Frames
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import DataFormatError
+from magmatch.typing import Indices
 
 logger = logging.getLogger(__name__)
 
@@ -43,12 +44,16 @@ class Stream:
         return replace(self, entries={frames: part for frames, part in entries.items() if len(part.number)})
 
 
-def read_streams(log: Log, topics: Sequence[Topic], *, recover: bool) -> list[Stream]:
+def read_streams(
+    log: Log, topics: Sequence[Topic], *, recover: bool, thin: Callable[[Entries], Entries] | None = None
+) -> list[Stream]:
     """Read the whole messages of some topics in one pass over the log.
 
     DataFormatError names the first message that is damaged or holds no numbers; with `recover` these are left out.
+    `thin` leaves few of the whole messages of an edge, wherever not all are needed.
     """
-    decoders = {topic.channel: Decoder() for topic in topics}
+    thinned = None if thin is None else lambda part: thin(_whole(part, []))
+    decoders = {topic.channel: Decoder(thinned) for topic in topics}
     for channel, log_ns, payloads in batches(log.messages({topic.name for topic in topics})):
         if channel in decoders:
             decoders[channel].take(channel, log_ns, payloads)
@@ -115,22 +120,50 @@ def settle_clock(path: Path, streams: Sequence[Stream]) -> list[Stream]:
 
 
 def in_order(path: Path, topic: str, entries: Entries) -> Entries:
-    """Entries by increasing time in ``stamp_ns``, each time once; refused where the clock was set back."""
-    back = np.maximum.accumulate(entries.stamp_ns) - entries.stamp_ns
-    if back.max(initial=0) > MAX_STEP_BACK_NS:
-        i = int(np.argmax(back > MAX_STEP_BACK_NS))
+    """Entries by increasing time in ``stamp_ns``, each time once; refused where the clock was set back.
+
+    Files may hold messages in any order, so stamps are compared in the order of logging too.
+    """
+    stored = _behind(entries.stamp_ns)
+    logged = _behind(entries.stamp_ns[np.argsort(entries.log_ns, kind="stable")])
+    back = min(logged, stored, key=lambda one: one.max(initial=0))
+    is_stored_late = stored > MAX_STEP_BACK_NS
+    if back.max(initial=0) > MAX_STEP_BACK_NS or (is_stored_late.any() and _is_logged_twice(entries)):
+        i = int(np.argmax(is_stored_late))
         message = (
-            f"{topic}, message {entries.number[i]}: time runs backward by {back[i] / 1e9:.3g} s; "
+            f"{topic}, message {entries.number[i]}: time runs backward by {stored[i] / 1e9:.3g} s; "
             "a clock that was set anew, or two recordings in one?"
         )
         raise DataFormatError(path, message)
     if n_late := int((back > 0).sum()):
         logger.warning("%s: %d messages of %s came out of order and were sorted by time", path, n_late, topic)
-    entries = entries.at(np.argsort(entries.stamp_ns, kind="stable"))
+    entries = entries.at(np.lexsort((entries.log_ns, entries.stamp_ns)))
     is_new = np.concatenate([[True], np.diff(entries.stamp_ns) > 0])
     if n_twice := int((~is_new).sum()):
         logger.warning("%s: left out %d messages of %s whose time another one has", path, n_twice, topic)
     return entries.at(is_new)
+
+
+def _behind(times: Indices) -> Indices:
+    """By how much each time lies before the latest of those above it."""
+    behind: Indices = np.maximum.accumulate(times) - times
+    return behind
+
+
+def _is_logged_twice(entries: Entries) -> bool:
+    """Whether the recorder's own clock was set back once, so that messages from before and after lie in turns.
+
+    Pieces of a file that were written in another order do not overlap in time; messages in no order at all step
+    back more than once.
+    """
+    is_back = np.diff(entries.log_ns) < -MAX_STEP_BACK_NS
+    if is_back.sum() != 1:
+        return False
+    is_after = np.concatenate([[False], np.cumsum(is_back) > 0])
+    order = np.argsort(entries.log_ns, kind="stable")
+    n_turns = int(np.diff(is_after[order]).sum())
+    # A piece that belongs between two others makes two turns.
+    return bool((n_turns - 2) * np.median(np.diff(entries.log_ns[order])) > MAX_STEP_BACK_NS)
 
 
 def _has_stamp(part: Entries) -> np.ndarray:

@@ -10,6 +10,7 @@ from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
 from magmatch.data.tables.nanoseconds import SECOND, nanoseconds_of
 from magmatch.errors import SurveyError, import_extra
+from magmatch.number_text import told
 
 FIELD_TOPIC, POSE_TOPIC = "/magmatch/field", "/magmatch/pose"
 FIELD, POSE, POINT = (
@@ -60,7 +61,8 @@ def _stamps(survey: Survey) -> list[int]:
         msg = f"{survey.name}: has no times, which MCAP needs"
         raise SurveyError(msg)
     if survey.times[0] < 0 or survey.times[-1] >= 2**31:
-        msg = f"{survey.name}: times run from {survey.times[0]:.9g} to {survey.times[-1]:.9g} s, ROS knows 0 to 2^31"
+        first, last = told(survey.times[0]), told(survey.times[-1])
+        msg = f"{survey.name}: times run from {first} to {last} s, ROS knows 0 to 2^31"
         raise SurveyError(msg)
     stamps: list[int] = nanoseconds_of(survey.times).tolist()
     return stamps

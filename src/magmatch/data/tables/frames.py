@@ -1,26 +1,49 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
 
-from collections.abc import Collection, Mapping
+import logging
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from magmatch.arguments import column_of, expect_kind, found, require_finite
-from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
-from magmatch.data.tables.text_rows import require_stated
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
+logger = logging.getLogger(__name__)
+
+# Whole numbers of an index below this may count rows, which no table in memory has more of; stamps are larger.
+NO_ROW_NUMBER = 1_000_000_000
+
+
+class Chosen(Protocol):
+    """Which columns of a table are which."""
+
+    @property
+    def ours(self) -> Mapping[str, str]:
+        """Our names by the table's (lower case)."""
+
+    def with_constants(self, table: Table) -> Table:
+        """Return a table that has our names with what else is stated."""
+
 
 def table_of_frame(
-    df: Any, name: str, known: Collection[str], theirs: Mapping[str, str], texts: Collection[str] = ()
+    df: Any,
+    name: str,
+    known: Collection[str],
+    theirs: Mapping[str, str],
+    choose: Callable[[Sequence[str], Mapping[str, str]], Chosen],
+    per_second: float,
+    texts: Collection[str] = (),
 ) -> Table:
-    """Known columns of a DataFrame, found by name (``theirs``: {ours: theirs}); rows by position, dates in s.
+    """Columns of a DataFrame by our names (``theirs``: {ours: theirs}); rows by position, times in s.
 
-    `texts` are columns of words, the same in all rows.
+    `choose` finds columns among the names there are, given what is stated; `texts` are columns of words, the same in
+    all rows.
     """
     expect_kind(name, "name", (str,))
     _expect_names(theirs)
@@ -30,21 +53,40 @@ def table_of_frame(
     if unknown := [ours for ours in theirs if ours not in known]:
         msg = f"columns: expected pairs {{ours: theirs}} with ours of {', '.join(known)}, got '{unknown[0]}'"
         raise ConfigurationError(msg)
-    wanted = {ours: str(theirs.get(ours, ours)).lower() for ours in known}
+    stated = {ours: str(text).lower() for ours, text in theirs.items()}
     # Of pandas: an index that is named as a column is one, such as the times.
-    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns)
-    if any(str(level).lower() in wanted.values() for level in levels):
+    levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns) - {None}
+    names = list(dict.fromkeys(str(column) for column in (*df.columns, *levels)))
+    chosen = choose(names, stated)
+    if any(str(level).lower() in chosen.ours for level in levels):
         df = df.reset_index(allow_duplicates=True)
     there = {str(column).lower(): column for column in df.columns}
-    require_stated(name, tuple(map(str, df.columns)), {wanted[ours]: ours for ours in theirs})
-    columns = {ours: _numbers(df[there[key]], ours, name, len(df)) for ours, key in wanted.items() if key in there}
+    columns = {ours: _numbers(df[there[key]], ours, name, len(df), per_second) for key, ours in chosen.ours.items()}
+    if "t" not in columns and (times := _times_of_index(df, name)) is not None:
+        columns["t"] = _numbers(times, "t", name, len(df), per_second)
     # A missing cell equals nothing, not even itself.
     said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
     for text, words in said.items():
         if len(words) > 1:
             raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
     one_word = {text: words[0] for text, words in said.items() if words}
-    return Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
+    table = Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
+    return chosen.with_constants(table)
+
+
+def _times_of_index(df: Any, name: str) -> Any:
+    """Increasing dates in an index that is named otherwise or not at all; other times it may hold are warned of."""
+    index: Any = getattr(df, "index", None)
+    for k in range(getattr(index, "nlevels", 0)):
+        level = index.get_level_values(k)
+        kind = getattr(level.dtype, "kind", "")
+        if kind == "M" and level.is_monotonic_increasing and level.is_unique and not level.hasnans:
+            return level
+        if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= NO_ROW_NUMBER):
+            called = "without a name" if level.name is None else f"'{level.name}'"
+            words = "%s: has no column t, and its index %s is left out; if it holds the times, name it t"
+            logger.warning(words, name, called)
+    return None
 
 
 def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[str, str]]:
@@ -71,8 +113,8 @@ def _expect_names(theirs: Any) -> None:
     expect_kind(theirs, "columns", (Mapping,), "give a dict of ours to theirs, such as {'x': 'east'}")
 
 
-def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
-    """A column as finite float64; dates as seconds since 1970."""
+def _numbers(column: Any, ours: str, name: str, n: int, per_second: float) -> Scalars:
+    """A column as finite float64; times as seconds, dates since 1970."""
     try:
         if np.ndim(column) == 2:
             msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
@@ -81,6 +123,11 @@ def _numbers(column: Any, ours: str, name: str, n: int) -> Scalars:
             dates = np.asarray(column, dtype="datetime64[ns]")
             require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
             return seconds_of(dates.astype(np.int64).tolist())
-        return column_of(column, ours, "any unit", n)
+        values = column_of(column, ours, "any unit", n)
+        if ours != "t":
+            return values
+        # Nullable columns of pandas are objects to NumPy, unless it is told.
+        is_whole = getattr(getattr(column, "dtype", None), "kind", "") in ("i", "u")
+        return seconds_of_column(np.asarray(column, dtype=np.int64 if is_whole else None), per_second)
     except ValueError as error:
         raise DataFormatError(name, str(error)) from None

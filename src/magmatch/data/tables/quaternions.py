@@ -23,7 +23,8 @@ def rotations_of(table: Table) -> Rotation | None:
             table.path, f"half a quaternion: found {', '.join(present)}, missing {missing}", column=missing
         )
     quaternions = table.stack(*QUATERNION)
-    norms = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):  # absurd numbers become infinite, and are refused as such
+        norms = np.linalg.norm(quaternions, axis=1)
     wrong = np.flatnonzero(np.abs(norms - 1) > MAX_NORM_ERROR)
     if len(wrong):
         row = int(wrong[0])

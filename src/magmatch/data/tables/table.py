@@ -5,29 +5,39 @@ import logging
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.tables.dates import seconds_of_date
+from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.tables.text import Block, text_blocks
 from magmatch.data.tables.text_rows import (
+    RECOVER,
+    ForeignNumberError,
     cells_of,
+    decimal_of_cells,
     delimiter_of,
+    in_units,
+    is_row,
     listed,
     names_of,
+    numbered_names,
     numbers_at_once,
     numbers_of,
+    split_header,
     split_row,
+    stated_delimiter,
 )
 from magmatch.errors import DataFormatError
+from magmatch.number_text import exact, told
 from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
 
 # Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
 CHUNK_ROWS = 20_000
-# Between these a comma can only belong to a number.
-MAY_HAVE_COMMAS = {";", "\t"}
 # Comment lines above the first row that are kept.
 MAX_COMMENTS = 1000
 
@@ -43,6 +53,7 @@ class Table:
     comments: tuple[str, ...]  # comment lines above the first row, without the ``#``
     # Columns of words that were asked for and are there, each the same in all rows
     texts: Mapping[str, str] = field(default_factory=dict)
+    decimal: Decimal = "point"  # the mark of the numbers in the file
 
     def __len__(self) -> int:
         return len(self.line_numbers)
@@ -75,7 +86,8 @@ class Table:
             row = int(wrong[0]) + 1
             kind = "repeats" if values[row] == values[row - 1] else "runs backward"
             message = (
-                f"time {kind}: {values[row]:.9g} after {values[row - 1]:.9g}; expected strictly increasing times"
+                f"time {kind}: {told(values[row])} after {told(values[row - 1])}; expected strictly increasing times "
+                "of one recording, whose rows are sorted by time"
             )
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
 
@@ -89,19 +101,28 @@ def read_table(
     recover: bool | None = None,
     advise: Callable[[Sequence[str]], str] = lambda _: "",
     texts: Collection[str] = (),
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None,
+    numbered: Sequence[int] = (),
+    decimal: Decimal | Literal[""] | None = None,
+    digits: Mapping[str, int] | None = None,
 ) -> Table:
     """Read the known columns of a delimited text file; every number is finite, and there is at least one row.
 
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
-    semicolon, tab, or else white space. Between semicolons or tabs numbers may have decimal commas.
+    semicolon, tab, or else white space; or the one that a first line ``sep=;`` states. Numbers may have decimal
+    commas and groups of three digits; `decimal` says which mark is decimal where the numbers leave that in doubt ("":
+    not stated; None where there is no such choice, which messages then do not offer). Columns in `digits`, by our
+    names, count units of 10**-digits, such as {"t": 9} of nanoseconds, and are returned in whole units, rounded once.
 
     Columns that are not known (lower case) are ignored, whatever they hold; `texts` are those that hold one word for
     the whole file. `names` are the columns of formats without a header row, `raw` the content of what is no file of
     its own (a member of an archive). `recover` leaves out rows that cannot be read, and says how many, instead of
     refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
-    file that has none of the columns, from the names it has.
+    file that has none of the columns, from the names it has. `choose` picks the columns, {theirs: ours}, from the
+    names there are, where names alone do not tell; `numbered` are columns known by number, counted from 1, for which
+    no header is needed. Dates (ISO 8601) of times become seconds since 1970.
     """
-    reader = _TableReader(path, known, names, recover, advise, texts)
+    reader = _TableReader(path, known, names, raw, recover, advise, texts, choose, numbered, decimal, digits or {})
     for block in text_blocks(path, raw):
         reader.take(block)
     return reader.table()
@@ -114,15 +135,20 @@ class _TableReader:
     path: str | Path
     known: Collection[str]
     names: Sequence[str] | None
+    raw: bytes | None
     recover: bool | None
     advise: Callable[[Sequence[str]], str]
     texts: Collection[str]
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None
+    numbered: Sequence[int]
+    stated: Decimal | Literal[""] | None
+    digits: Mapping[str, int]
+    chosen: Mapping[str, str] = field(default_factory=dict)
     said: dict[str, str] = field(default_factory=dict)
     first_fault: DataFormatError | None = None
     n_faults: int = 0
-    # What marks decimals, as far as it has been seen; commas only where something else separates the cells.
-    has_points: bool = False
-    has_commas: bool = False
+    decimal: Decimal = "point"
+    has_commas: bool = False  # within numbers
     comments: list[str] = field(default_factory=list)
     has_begun: bool = False
     delimiter: str | None = None
@@ -133,17 +159,18 @@ class _TableReader:
     def take(self, block: Block) -> None:
         """Read the rows of a block; its first row may be the header."""
         lines = block.lines
-        # A row of delimiters alone is what spreadsheets write for a blank line.
-        rows = [
-            i for i, line in enumerate(lines) if (text := line.strip()) and text[0] != "#" and text.strip(",; \t")
-        ]
+        rows = [i for i, line in enumerate(lines) if is_row(line)]
         if not self.has_begun:
             above = lines[: rows[0]] if rows else lines
             self.comments += [line.strip().lstrip("#").strip() for line in above if line.strip()][:MAX_COMMENTS]
+            if rows and self.delimiter is None and (mark := stated_delimiter(lines[rows[0]])):
+                self.delimiter = mark
+                rows.pop(0)
         if rows and not self.has_begun:
             self._begin(lines, rows, block.start)
         if rows and not self.wanted:
             self._choose()
+            self._decide(block, rows)
         for start in range(0, len(rows), CHUNK_ROWS):
             chunk = rows[start : start + CHUNK_ROWS]
             is_last = block.is_last and chunk[-1] == len(lines) - 1
@@ -153,20 +180,47 @@ class _TableReader:
         """Learn delimiter and names from the first row."""
         self.has_begun = True
         first = lines[rows[0]]
-        self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
+        if self.delimiter is None or self.delimiter not in first:
+            self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
         if self.names is None:
-            cells, line = split_row(first, self.delimiter), start + rows.pop(0) + 1
-            self.names = names_of(self.path, cells, line, self.known, self.comments)
+            cells, line, is_header = split_header(first, self.delimiter), start + rows[0] + 1, True
+            if self.numbered:
+                self.names, is_header = numbered_names(cells, self.numbered)
+            else:
+                self.names = names_of(self.path, cells, line, self.known, self.comments, self.advise)
+            if is_header:
+                rows.pop(0)
+        self.chosen = {name: name for name in self.known} if self.choose is None else self.choose(self.names)
+        self.digits = {name: self.digits[ours] for name, ours in self.chosen.items() if ours in self.digits}
 
     def _choose(self) -> None:
         """Which columns to read, at the first row of numbers."""
         names = self.names or ()
-        self.wanted = {name: k for k, name in enumerate(names) if name in self.known}
+        self.wanted = {name: k for k, name in enumerate(names) if name in self.chosen}
         if not self.wanted:
             message = f"expected columns such as {listed(tuple(self.known))}; found {listed(names)}"
             advice = self.advise(names)
             raise DataFormatError(self.path, f"{message}. {advice}" if advice else message)
         self.columns = [[] for _ in self.wanted]
+
+    def _decide(self, block: Block, rows: list[int]) -> None:
+        """Learn the decimal mark from all numbers, where the first ones leave it in doubt."""
+        self.decimal = decimal_of_cells(self.path, self._cells_ahead(block, rows), tuple(self.wanted), self.stated)
+
+    def _cells_ahead(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
+        """Lines and wanted cells of all rows from here on that may hold marks."""
+        yield from self._marked_cells(block, rows)
+        if not block.is_last:
+            for later in text_blocks(self.path, self.raw):
+                if later.start > block.start:
+                    yield from self._marked_cells(later, [i for i, line in enumerate(later.lines) if is_row(line)])
+
+    def _marked_cells(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
+        lines = block.lines
+        if any("." in lines[i] or ("," in lines[i] and (self.delimiter != "," or '"' in lines[i])) for i in rows):
+            for i in rows:
+                cells = split_row(lines[i], self.delimiter)
+                yield block.start + i + 1, [cells[k] for k in self.wanted.values() if k < len(cells)]
 
     def _take_texts(self, rows: list[str], numbers: list[int]) -> None:
         """Learn the words that all rows share."""
@@ -182,12 +236,18 @@ class _TableReader:
     def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
         self._take_texts(rows, numbers)
         block = None
-        if not self.has_commas:
+        if self.decimal == "point":
             block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
-        if block is not None and self.delimiter in MAY_HAVE_COMMAS and not self.has_points:
-            self.has_points = any("." in row for row in rows)
         if block is None:
             block, numbers = self._looked_at(rows, numbers, is_last=is_last)
+        else:
+            in_units(
+                block,
+                lambda k: (row.split(self.delimiter, k + 1)[k] for row in rows),
+                self.wanted,
+                self.decimal,
+                self.digits,
+            )
         for parts, values in zip(self.columns, block.T, strict=True):
             parts.append(values.copy())
         self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)
@@ -196,15 +256,18 @@ class _TableReader:
         """Numbers of rows cell by cell, and which of the rows were kept."""
         try:
             cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
-            if self.delimiter in MAY_HAVE_COMMAS:
-                self._put_points(cells, numbers)
-            return numbers_of(self.path, numbers, cells, self.wanted), numbers
+            self._put_seconds(cells)
+            self.has_commas |= any("," in row[k] for row in cells for k in self.wanted.values())
+            return numbers_of(self.path, numbers, cells, self.wanted, self.decimal, self.digits), numbers
         except DataFormatError as error:
             if self.recover is None:
                 raise
             if not self.recover:
-                message = f"{error.message}; --recover leaves such rows out"
-                raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
+                if isinstance(error, ForeignNumberError):
+                    raise
+                raise DataFormatError(
+                    self.path, error.message + RECOVER, line=error.line, column=error.column
+                ) from None
             if len(rows) == 1:
                 self.first_fault, self.n_faults = self.first_fault or error, self.n_faults + 1
                 return np.zeros((0, len(self.wanted))), []
@@ -215,21 +278,13 @@ class _TableReader:
         )
         return np.concatenate([first[0], second[0]]), first[1] + second[1]
 
-    def _put_points(self, cells: list[list[str]], numbers: list[int]) -> None:
-        """Write decimal commas as points, unless points stand there too: one of the two marks thousands then."""
-        pairs = [(i, name, row[k]) for i, row in zip(numbers, cells, strict=True) for name, k in self.wanted.items()]
-        with_point = next(((i, name, text) for i, name, text in pairs if "." in text), None)
-        if with_point is not None and self.has_commas:
-            i, name, text = with_point
-            message = f"found {text[:40]!r}, where numbers above have decimal commas"
-            raise DataFormatError(self.path, message, line=i + 1, column=name)
-        self.has_points |= with_point is not None
-        if self.has_points or not any("," in text for _, _, text in pairs):
-            return
-        self.has_commas = True
-        for row in cells:
-            for k in self.wanted.values():
-                row[k] = row[k].replace(",", ".")
+    def _put_seconds(self, cells: list[list[str]]) -> None:
+        """Write times that are dates as numbers of seconds."""
+        for name in [name for name in self.wanted if self.chosen[name] == "t"]:
+            for row in cells:
+                if (seconds := seconds_of_date(row[self.wanted[name]])) is not None:
+                    row[self.wanted[name]] = repr(seconds).replace(".", "." if self.decimal == "point" else ",")
+                    self.digits = {other: n for other, n in self.digits.items() if other != name}
 
     def table(self) -> Table:
         """All that was read."""
@@ -244,31 +299,42 @@ class _TableReader:
                 "%s: left out %d rows that cannot be read, the first: %s", self.path, self.n_faults, self.first_fault
             )
         if self.has_commas:
-            logger.warning("%s: decimal commas were read as points", self.path)
+            read_as = "decimal commas were read as points"
+            if self.decimal == "point":
+                read_as = "commas were read as marks of thousands, not of decimals"
+            logger.warning("%s: %s", self.path, read_as)
         columns = {}
         for name in self.wanted:  # one after the other, so that little is there twice
             columns[name] = np.concatenate(self.columns.pop(0))
         numbers = np.concatenate(self.line_numbers)
-        return Table(Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said)
+        return Table(
+            Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said, self.decimal
+        )
 
 
-def write_table(path: str | Path, columns: Mapping[str, Scalars], texts: Mapping[str, str] | None = None) -> None:
-    """Write number columns as CSV, and words that are the same in all rows; reading gives the same float64 values.
+def write_table(
+    path: str | Path, columns: Mapping[str, Scalars | list[str]], texts: Mapping[str, str] | None = None
+) -> None:
+    """Write columns of numbers or words as CSV, and words that are the same in all rows; numbers read back the same.
 
-    Words stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
+    The latter stand behind the numbers and not in a comment, so that any other reader of CSV takes the file as it is.
     """
     with atomic_write(path) as stream:
         stream.writelines(_rows(columns, texts or {}))
 
 
-def _rows(columns: Mapping[str, Scalars], texts: Mapping[str, str]) -> Iterator[bytes]:
+def _rows(columns: Mapping[str, Scalars | list[str]], texts: Mapping[str, str]) -> Iterator[bytes]:
     """Encode a table piece by piece."""
     yield (",".join([*columns, *texts]) + "\n").encode()
     end = "".join(f",{_quoted(text)}" for text in texts.values()) + "\n"
     n = len(next(iter(columns.values())))
     for start in range(0, n, CHUNK_ROWS):
-        cells = [map(repr, column[start : start + CHUNK_ROWS].tolist()) for column in columns.values()]
+        cells = [_cells(column[start : start + CHUNK_ROWS]) for column in columns.values()]
         yield "".join(",".join(row) + end for row in zip(*cells, strict=True)).encode()
+
+
+def _cells(column: Scalars | list[str]) -> list[str]:
+    return list(map(_quoted, column)) if isinstance(column, list) else exact(column)
 
 
 def _quoted(text: str) -> str:

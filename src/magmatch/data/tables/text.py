@@ -119,5 +119,7 @@ def _lines(path: str | Path, raw: bytes, start: int) -> list[str]:
         raise DataFormatError(path, message, line=line) from None
     if "\0" in text:
         line = start + text.count("\n", 0, text.index("\0")) + 1
-        raise DataFormatError(path, "holds NUL bytes: a binary file, or one cut off while writing", line=line)
+        raise DataFormatError(
+            path, "holds NUL bytes: a binary file, one cut off while writing, or UTF-16 (save it as UTF-8)", line=line
+        )
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")

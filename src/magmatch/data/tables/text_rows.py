@@ -2,19 +2,51 @@
 """Cells of text rows: names in the first row, numbers in the others, faults by line and column."""
 
 import csv
-from collections.abc import Collection, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from magmatch.data.tables.dates import seconds_of_date
+from magmatch.data.tables.header_names import words_of
+from magmatch.data.tables.nanoseconds import LARGEST_WHOLE, seconds_of_text
+from magmatch.data.tables.number_marks import Decimal, Doubt, decimal_of, is_number, number_of_text
 from magmatch.errors import DataFormatError
 from magmatch.typing import Matrix
 
 
+class ForeignNumberError(DataFormatError):
+    """A row holds numbers, but written in a way that is not read: no damage, and not to be left out."""
+
+
+RECOVER = "; --recover leaves such rows out"
+# What spreadsheets write where a formula has no value (English and German): no comment.
+_SHEET_ERROR = re.compile(r"#(?:N/A|NV|(?:DIV/0|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NULL)!|NAME\?)\s*[,;\t]")
+
+
+def is_row(line: str) -> bool:
+    """Whether a line is none that is blank or a comment; delimiters alone are what spreadsheets write for a blank."""
+    text = line.strip()
+    return bool(text.strip(",; \t")) and (text[0] != "#" or _SHEET_ERROR.match(text) is not None)
+
+
+def stated_delimiter(line: str) -> str | None:
+    """The mark that a first line such as ``sep=;`` states, by which spreadsheets are told what separates cells."""
+    found = re.fullmatch(r"""["']?sep=(.)["']?[,;\s]*""", line.strip(" \ufeff"), re.IGNORECASE)
+    return found[1] if found else None
+
+
 def delimiter_of(path: str | Path, first: str, line: int) -> str | None:
     """Choose what separates the cells from the first row; None for white space."""
+    for mark in (";", None):  # between numbers with decimal commas
+        cells = [cell.strip() for cell in first.split(mark)]
+        if "," in first and len(cells) > 1 and all(is_number(cell) and cell[-1] != "," for cell in cells):
+            return mark
     if "," in first and ";" in first:
-        raise DataFormatError(path, "both ',' and ';' separate the columns here; use one of them", line=line)
+        message = "both ',' and ';' separate the columns here; use one of them, or write sep=; above for the second"
+        raise DataFormatError(path, message, line=line)
     return next((mark for mark in (",", ";", "\t") if mark in first), None)
 
 
@@ -25,23 +57,60 @@ def split_row(text: str, delimiter: str | None) -> list[str]:
     return text.split(delimiter)
 
 
+def split_header(first: str, delimiter: str | None) -> list[str]:
+    """Cells of the first row; units in brackets belong to the names before them."""
+    has_marks = delimiter is not None or any(mark in first for mark in ",;\t")
+    return split_row(first, delimiter) if has_marks else words_of(first)
+
+
 def names_of(
-    path: str | Path, cells: list[str], line: int, known: Collection[str], comments: Sequence[str]
+    path: str | Path,
+    cells: list[str],
+    line: int,
+    known: Collection[str],
+    comments: Sequence[str],
+    advise: Callable[[Sequence[str]], str] = lambda _: "",
 ) -> tuple[str, ...]:
     """Names of the columns, lower case."""
     names = [cell.strip().strip("'\"").lower() for cell in cells]
     while names and not names[-1]:
         names.pop()
-    if all(is_number(name) for name in names):
+    if all(map(is_sample, names)):
         message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
-        above = comments[-1].replace(",", " ").replace(";", " ").split() if comments else []
-        if len(above) == len(names) and not any(map(is_number, above)):
-            message += "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
-        raise DataFormatError(path, message, line=line)
+        message += advice_on_comments(comments, len(names))
+        advice = advise(names)
+        raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=line)
     for name in names:
         if name in known and names.count(name) > 1:
-            raise DataFormatError(path, f"the column appears {names.count(name)} times", line=line, column=name)
+            raise DataFormatError(
+                path, f"the column appears {names.count(name)} times; rename the others", line=line, column=name
+            )
     return tuple(names)
+
+
+def numbered_names(cells: list[str], numbers: Sequence[int]) -> tuple[tuple[str, ...], bool]:
+    """Names of columns of which some are known by number, counted from 1; and whether the first row is a header.
+
+    It is one where a column so known has no number in it, or where its cells just count the columns.
+    """
+    names = [cell.strip().strip("'\"").lower() for cell in cells]
+    while names and not names[-1]:
+        names.pop()
+    counted = [str(k) for k in range(len(names) + 1)]
+    if len(names) > 1 and names in (counted[:-1], counted[1:]):
+        return tuple(names), True
+    known = [k for k in numbers if k <= len(names) and str(k) not in names]
+    is_header = not all(is_sample(names[k - 1]) for k in known)
+    named = (str(k) if k in known or not is_header else name for k, name in enumerate(names, start=1))
+    return tuple(named), is_header
+
+
+def advice_on_comments(comments: Sequence[str], n: int) -> str:
+    """What to do where a comment holds the n names that are missing."""
+    for words in map(words_of, comments):
+        if len(words) == n and not any(map(is_number, words)):
+            return "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
+    return ""
 
 
 def numbers_at_once(rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int]) -> Matrix | None:
@@ -68,23 +137,87 @@ def cells_of(
             message = f"expected {width} cells ({listed(names)}), found {len(row)}"
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
+            if delimiter == "," and len(row) > width and all(map(is_number, row)):
+                advice = "numbers that hold commas need quotes, or semicolons between the cells"
+                raise ForeignNumberError(path, f"{message}; {advice}", line=i + 1)
             raise DataFormatError(path, message, line=i + 1)
     return cells
 
 
-def numbers_of(path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]) -> Matrix:
-    """Wanted columns of some rows, one cell at a time."""
+def numbers_of(
+    path: str | Path,
+    chunk: list[int],
+    rows: list[list[str]],
+    wanted: Mapping[str, int],
+    decimal: Decimal = "point",
+    digits: Mapping[str, int] | None = None,
+) -> Matrix:
+    """Wanted columns of some rows, one cell at a time; `digits` as in `read_table`."""
+    places = list(wanted.values())
     try:
-        block = np.array([[float(row[k]) for k in wanted.values()] for row in rows])
-        if np.isfinite(block).all():
-            return block
+        block = _floats(rows, places, decimal)
     except ValueError:
-        pass
-    raise _first_fault(path, chunk, rows, wanted)
+        try:
+            block = np.array([[number_of_text(row[k], decimal) for k in places] for row in rows])
+        except ValueError:
+            raise _first_fault(path, chunk, rows, wanted, decimal) from None
+    if not np.isfinite(block).all():
+        raise _first_fault(path, chunk, rows, wanted, decimal)
+    in_units(block, lambda k: (row[k] for row in rows), wanted, decimal, digits or {})
+    return block
+
+
+def _floats(rows: list[list[str]], places: list[int], decimal: Decimal) -> Matrix:
+    """Plain numbers, quickly; `ValueError` where any needs a closer look."""
+    if decimal == "point":
+        return np.array([[float(row[k]) for k in places] for row in rows])
+    if any("." in row[k] for row in rows for k in places):
+        raise ValueError
+    return np.array([[float(row[k].replace(",", ".")) for k in places] for row in rows])
+
+
+def decimal_of_cells(
+    path: str | Path,
+    rows: Iterable[tuple[int, Sequence[str]]],
+    names: Sequence[str],
+    stated: Decimal | Literal[""] | None = None,
+) -> Decimal:
+    """The decimal mark of rows (line, cells of named columns); one that they leave in doubt is refused.
+
+    `stated` as in `read_table`.
+    """
+    found = decimal_of(rows, stated or None)
+    if not isinstance(found, Doubt):
+        return found
+    point, comma = found.values
+    advice = f"write {point} or {comma}"
+    if stated is not None:
+        advice += f", or state the mark: --decimal point reads {point}, --decimal comma {comma}"
+    raise DataFormatError(path, f"{found.words}; {advice}", line=found.line, column=names[found.column])
+
+
+def in_units(
+    block: Matrix,
+    cells: Callable[[int], Iterable[str]],
+    wanted: Mapping[str, int],
+    decimal: Decimal,
+    digits: Mapping[str, int],
+) -> None:
+    """Turn columns of a block into whole units, rounded once: what float64 cannot hold is taken from the cells again.
+
+    `cells` gives a column of the file by its number.
+    """
+    for column, name in enumerate(wanted):
+        if places := digits.get(name, 0):
+            values = block[:, column]
+            if (np.abs(values) < LARGEST_WHOLE).all() and (values == np.rint(values)).all():
+                block[:, column] = values / 10.0**places
+            else:
+                block[:, column] = [seconds_of_text(text, places, decimal) for text in cells(wanted[name])]
 
 
 def _first_fault(
-    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int]
+    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int], decimal: Decimal
 ) -> DataFormatError:
     """Find the first cell that is not a finite number (slow, so done only once one is known to be there)."""
     for i, row in zip(chunk, rows, strict=True):
@@ -92,15 +225,28 @@ def _first_fault(
             text = row[k].strip()
             if not text:
                 return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
-            if not is_number(text):
-                hint = " (write decimals with a point)" if is_number(text.replace(",", ".")) else ""
-                hint = " (times are numbers, such as seconds since 1970)" if text.count(":") > 1 else hint
-                return DataFormatError(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
-            if not np.isfinite(float(text)):
+            try:
+                value = number_of_text(text, decimal)
+            except ValueError:
+                kind, hint = advice_on(text, decimal)
+                return kind(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
+            if not np.isfinite(value):
                 message = f"expected a finite number, found {text[:40]!r}; remove the row or repair it"
                 return DataFormatError(path, message, line=i + 1, column=name)
     msg = "a fault was reported but none found"
     raise AssertionError(msg)
+
+
+def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
+    """What to do about a cell that is no number; rows of digits are no damage."""
+    if text.count(":") > 1:
+        return DataFormatError, " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)"
+    if is_number(text):
+        others = "points" if decimal == "point" else "commas"
+        return ForeignNumberError, f", where other numbers have decimal {others} (write all decimals with a point)"
+    if not text.startswith("#") and any(character.isdigit() for character in text):  # "#DIV/0!" is none
+        return ForeignNumberError, " (write it without unit, brackets or other signs, such as -1234.5)"
+    return DataFormatError, ""
 
 
 def listed(names: Sequence[str]) -> str:
@@ -117,10 +263,6 @@ def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, 
             raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
 
 
-def is_number(text: str) -> bool:
-    """Whether a cell reads as a number (which may be nan or inf)."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+def is_sample(text: str) -> bool:
+    """Whether a cell reads as a number or a date, and so not as a name."""
+    return is_number(text) or seconds_of_date(text) is not None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""TUM trajectories: rows ``t x y z qx qy qz qw`` without a header, separated by white space."""
+"""TUM trajectories: rows ``t x y z qx qy qz qw``, separated by white space; a header may name another order."""
 
 from pathlib import Path
 
@@ -7,17 +7,23 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
-from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.ordered_table import read_ordered
+from magmatch.data.tables.table import Table
+from magmatch.data.units import LengthUnit, TimeUnit
+from magmatch.number_text import exact
 from magmatch.typing import Points, Scalars
 
 TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
-def read_tum(path: str | Path) -> Table:
-    """Read the rows of a TUM file."""
-    table = read_table(path, TUM_COLUMNS, TUM_COLUMNS)
-    table.require_increasing("t")
-    return table
+def read_tum(
+    path: str | Path, length_unit: LengthUnit = "m", time_unit: TimeUnit = "s", *, recover: bool | None = None
+) -> Table:
+    """Read the rows of a TUM file, or of any table that names these columns; times in s.
+
+    The units are those of the file's numbers, unless its header states that of the times.
+    """
+    return read_ordered(path, TUM_COLUMNS, time_unit, length_unit, recover=recover)[0]
 
 
 def write_poses(path: str | Path, times: Scalars, poses: RigidTransform | None) -> None:
@@ -28,9 +34,9 @@ def write_poses(path: str | Path, times: Scalars, poses: RigidTransform | None) 
         write_tum(path, times, poses.translation, poses.rotation.as_quat())
 
 
-def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: np.ndarray) -> None:
-    """Write a trajectory in TUM layout."""
-    rows = np.column_stack([times, positions, quaternions]).tolist()
-    lines = [f"# {' '.join(TUM_COLUMNS)}", *(" ".join(map(repr, row)) for row in rows), ""]
+def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: np.ndarray, of: str = "") -> None:
+    """Write a trajectory in TUM layout; the comment above it says what it is `of`."""
+    rows = np.column_stack([times, positions, quaternions])
+    lines = [f"# {of}{' '.join(TUM_COLUMNS)}", *(" ".join(exact(row)) for row in rows), ""]
     with atomic_write(path) as stream:
         stream.write("\n".join(lines).encode())

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
+from magmatch.field.excess import excess
 from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
@@ -58,7 +59,7 @@ def choose_prior(
         if is_undecided(compared):
             close = [other for other in compared[1:] if lead(other, compared[0]) > -1]
             compared = compare_on_the_rest([compared[0], *close], samples, folds)
-        taken = best(compared)
+        taken = best_possible(compared, samples)
     errors = {candidate.name: candidate.error for candidate in compared if len(candidate.log_errors)}
     told = ", ".join(f"{name} {error:.3g} T" for name, error in errors.items())
     log.info("prior %s taken; typical error of left-out parts: %s", taken.name, told or "not compared")
@@ -86,6 +87,18 @@ def best(candidates: list[Candidate]) -> Candidate:
     preferred = candidates[0]
     better = [other for other in candidates[1:] if _is_clearly_better(other, preferred)]
     return min(better, key=lambda candidate: candidate.error, default=preferred)
+
+
+def best_possible(candidates: list[Candidate], samples: Survey) -> Candidate:
+    """The best one whose field is possible; what predicts held-out stretches may be absurd beside all of them."""
+    while (taken := best(candidates)) is not candidates[0] and taken.fitted is not None:
+        model, everything = taken.fitted
+        words = excess(model.infer(everything), samples)
+        if not words:
+            break
+        log.warning("%s: prior %s is out of the choice: its field %s", samples.name, taken.name, words)
+        candidates = [other for other in candidates if other is not taken]
+    return taken
 
 
 def is_undecided(candidates: list[Candidate]) -> bool:

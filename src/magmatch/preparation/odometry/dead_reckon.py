@@ -13,7 +13,7 @@ from magmatch.errors import DataFormatError
 from magmatch.preparation.odometry.attitude import attitude
 from magmatch.preparation.odometry.config import OdometryConfig
 from magmatch.preparation.odometry.steps import Steps, find_steps
-from magmatch.typing import Scalars, Vectors
+from magmatch.typing import Indices, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -57,14 +57,15 @@ def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odomet
     Notes
     -----
     With each step, the position moves along the phone's heading by the step's length. A constant angle between phone
-    and walking direction rotates the whole path; a changing angle bends it.
+    and walking direction rotates the whole path; a changing angle bends it. Of a gap in which more than a step fits
+    nothing is known: the path has no poses there, and goes on behind it as if the walker had stood still.
     """
     config = config or OdometryConfig()
     acceleration, rate = phone.acceleration(WHAT_FOR), phone.require("rate", WHAT_FOR)
-    times = _even_times(phone, (acceleration, rate), config)
-    felt = acceleration.at(times)
-    orientations = attitude(rate.at(times), felt, config)
-    steps = find_steps(orientations.apply(felt)[:, 2], config)
+    times, stop = _even_times(phone, (acceleration, rate), config)
+    felt, turning = acceleration.at(times), rate.at(times)
+    orientations = attitude(turning, felt, config)
+    steps = find_steps(orientations.apply(felt)[:, 2], config).within(_pieces(times, config))
     if not len(steps):
         message = f"no step is found in {times[-1] - times[0]:.3g} s; expected a walk with the phone in the hand"
         raise DataFormatError(phone.path, message)
@@ -74,8 +75,21 @@ def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odomet
     positions[1:, :2] = np.cumsum(moves[:-1], axis=0)
     length = float(steps.lengths.sum())
     by_step = config.step_sd * float(np.sqrt((steps.lengths**2).sum()))
-    return Odometry(
-        Trajectory(times, positions, orientations), steps, float(np.hypot(config.factor_sd * length, by_step))
+    trajectory = Trajectory(times, positions, orientations)
+    if 0 < stop - times[-1] <= 1 / config.rate:  # the last reading rarely falls on an even time
+        trajectory = _carried_on(trajectory, stop, moves[-1] * config.rate, turning[-1])
+    return Odometry(trajectory, steps, float(np.hypot(config.factor_sd * length, by_step)))
+
+
+def _carried_on(trajectory: Trajectory, stop: float, velocity: Scalars, turning: Scalars) -> Trajectory:
+    """A pose more, at the last reading: moved and turned (m/s; rad/s, phone's axes) as at the last pose."""
+    seconds = stop - trajectory.times[-1]
+    last = trajectory.positions[-1] + [*(velocity * seconds), 0.0]
+    turned = trajectory.orientations[-1] * Rotation.from_rotvec(turning * seconds)
+    return Trajectory(
+        np.append(trajectory.times, stop),
+        np.vstack([trajectory.positions, last]),
+        Rotation.concatenate([trajectory.orientations, turned]),
     )
 
 
@@ -91,12 +105,16 @@ def heading(orientations: Rotation) -> Vectors:
     return np.asarray(level / np.maximum(size, 1e-9))
 
 
-def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryConfig) -> Scalars:
-    """Times at the configured rate that all sensors cover; what makes a walk impossible is refused, gaps are told."""
+def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryConfig) -> tuple[Scalars, float]:
+    """Times at the configured rate that all sensors cover, none of them in a long gap, and where the sensors end.
+
+    What makes a walk impossible is refused, gaps are told.
+    """
     start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
     if not SPAN[0] <= stop - start <= SPAN[1]:
         message = f"the sensors share {stop - start:.3g} s, expected a walk of {SPAN[0]:g} s to {SPAN[1] / 3600:g} h"
         raise DataFormatError(phone.path, message)
+    times = np.asarray(start + np.arange(int((stop - start) * config.rate) + 1) / config.rate)
     for stream in streams:
         intervals = np.diff(stream.times)
         rate = 1 / float(np.median(intervals))
@@ -106,4 +124,17 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryCo
         if intervals.max() > GAP:
             words = "%s: %s has %d gaps, the longest %.3g s: turns and steps within are lost"
             log.warning(words, phone.path, stream.source, int((intervals > GAP).sum()), intervals.max())
-    return np.asarray(start + np.arange(int((stop - start) * config.rate) + 1) / config.rate)
+        before = np.clip(np.searchsorted(stream.times, times) - 1, 0, len(intervals) - 1)
+        is_between = (times > stream.times[before]) & (times < stream.times[before + 1])
+        times = times[~(is_between & (intervals[before] > config.longest_step))]
+    if (n_pieces := _pieces(times, config)[-1] + 1) > 1:
+        words = (
+            "%s: the path is in %d pieces; each goes on where and as the one before it stopped, as if you had stood"
+        )
+        log.warning(words, phone.path, n_pieces)
+    return times, float(stop)
+
+
+def _pieces(times: Scalars, config: OdometryConfig) -> Indices:
+    """Numbers of the pieces between long gaps, counted from 0: (n,)."""
+    return np.concatenate([[0], np.cumsum(np.diff(times) > config.longest_step)])

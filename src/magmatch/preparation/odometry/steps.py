@@ -21,6 +21,11 @@ class Steps:
     def __len__(self) -> int:
         return len(self.lengths)
 
+    def within(self, pieces: Indices) -> "Steps":
+        """Those that begin and end in one piece; `pieces` numbers the rows."""
+        is_whole = pieces[self.first] == pieces[self.last]
+        return Steps(self.first[is_whole], self.last[is_whole], self.lengths[is_whole])
+
     def speed(self, n: int, rate: float) -> Scalars:
         """Speed of the walk at each of n rows, m/s: even within a step, 0 where none is made."""
         change = np.zeros(n + 1)

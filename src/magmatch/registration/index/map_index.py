@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from magmatch._version import __version__
+from magmatch.brief import brief
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.field.storage.archive import fingerprint_archive
@@ -56,6 +57,8 @@ class MapIndex:
     base: PreparedMap
     make_walks: Callable[[], WalkIndex]
     _walks: list[WalkIndex] = field(default_factory=list, init=False, repr=False)
+
+    __repr__ = brief
 
     @property
     def walks(self) -> WalkIndex:

@@ -58,8 +58,14 @@ def held(folder: Path) -> Iterator[None]:
 
     The folder is made where it is missing, for its owner alone.
     """
-    folder.mkdir(mode=0o700, exist_ok=True)
-    with (folder / "lock").open("a") as lock:
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        lock = (folder / "lock").open("a")
+    except OSError as error:
+        words = error.strerror or error
+        msg = f"{folder}: the clients' states cannot be kept there ({words}); say --states OTHER-FOLDER"
+        raise ConfigurationError(msg) from None
+    with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

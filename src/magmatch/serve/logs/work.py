@@ -43,7 +43,7 @@ from magmatch.viz.figures.slices import cut_normal_to, field_on
 log = logging.getLogger(__name__)
 Verb = Literal["localize", "register"]
 # Settings of a format that name files, which no client may.
-FILES = {"trajectory", "extrinsic"}
+FILES = {"trajectory", "trajectory_time_unit", "extrinsic"}
 _one_at_a_time = threading.Lock()
 
 

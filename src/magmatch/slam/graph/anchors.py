@@ -11,9 +11,19 @@ from magmatch.arguments import column_of, number_of, numbers_of
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import text_blocks
-from magmatch.data.tables.text_rows import cells_of, delimiter_of, names_of, split_row
+from magmatch.data.tables.text_rows import (
+    advice_on_comments,
+    cells_of,
+    decimal_of_cells,
+    delimiter_of,
+    is_row,
+    names_of,
+    split_row,
+    stated_delimiter,
+)
 from magmatch.data.tables.text_rows import numbers_of as numbers_in
 from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.number_text import told
 from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.trajectories import around
 from magmatch.slam.windows import Path
@@ -84,27 +94,34 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
         It is none; says line and column.
     """
     rows = [(b.start + i, line) for b in text_blocks(path, None) for i, line in enumerate(b.lines)]
-    rows = [(i, line) for i, line in rows if line.strip() and line.strip()[0] != "#"]
+    comments = [line.strip().lstrip("#").strip() for _, line in rows if line.strip() and not is_row(line)]
+    rows = [(i, line) for i, line in rows if is_row(line)]
+    mark = stated_delimiter(rows[0][1]) if rows else None
+    rows = rows[1:] if mark else rows
     if len(rows) < 2:
         raise DataFormatError(path, f"expected a header row ({','.join(COLUMNS)}) and fixed points below, found none")
     (first, header), *rest = rows
-    mark = delimiter_of(path, header, first + 1)
-    names = names_of(path, split_row(header, mark), first + 1, COLUMNS, ())
+    mark = mark if mark and mark in header else delimiter_of(path, header, first + 1)
+    names = names_of(path, split_row(header, mark), first + 1, COLUMNS, comments)
     in_degrees = not set(DEGREES) <= set(names) and set(DEGREES.values()) <= set(names)
     stands_for = DEGREES if in_degrees else {}
     missing = [name for name in COLUMNS if stands_for.get(name, name) not in names]
     if missing:
         columns = f"{', '.join(COLUMNS)} (or {', '.join(DEGREES.values())} for x, y)"
-        raise DataFormatError(path, f"expected columns {columns}; missing {', '.join(missing)}")
+        message = f"expected columns {columns}; missing {', '.join(missing)}"
+        raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=first + 1)
     at = [i for i, _ in rest]
     cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
-    numbers = numbers_in(path, at, cells, {name: names.index(stands_for.get(name, name)) for name in NUMBERS})
+    wanted = {name: names.index(stands_for.get(name, name)) for name in NUMBERS}
+    picked = ((i + 1, [row[k] for k in wanted.values()]) for i, row in zip(at, cells, strict=True))
+    decimal = decimal_of_cells(path, picked, [stands_for.get(name, name) for name in NUMBERS])
+    numbers = numbers_in(path, at, cells, wanted, decimal)
     for i, (_, x, y, _, sd) in zip(at, numbers, strict=True):
         if in_degrees and (wrong := what_is_wrong(np.array([x]), np.array([y]))):
             raise DataFormatError(path, wrong, line=i + 1)
         if sd <= 0:
             raise DataFormatError(
-                path, f"expected a standard deviation above 0 m, found {sd:g}", line=i + 1, column="sd"
+                path, f"expected a standard deviation above 0 m, found {told(sd)}", line=i + 1, column="sd"
             )
     logs = [row[names.index("log")].strip() for row in cells]
     return [
@@ -160,8 +177,8 @@ def of_named(
             msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
             raise ConfigurationError(msg)
         if not span[0] - BEYOND <= anchor.t <= span[1] + BEYOND:
-            between = f"between {span[0]:.9g} and {span[1]:.9g} s, when log {anchor.log!r} was walked"
-            msg = f"{anchor.source}: expected a time {between}, found {anchor.t:.9g}"
+            between = f"between {told(span[0])} and {told(span[1])} s, when log {anchor.log!r} was walked"
+            msg = f"{anchor.source}: expected a time {between}, found {told(anchor.t)}"
             raise ConfigurationError(msg)
         found.append((anchor, of))
     return found

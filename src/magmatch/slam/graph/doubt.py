@@ -5,12 +5,15 @@ import numpy as np
 from scipy.special import expit
 
 from magmatch.slam.graph.factors import LEAST_KEPT, Closure, Ties
-from magmatch.slam.graph.normal_equations import counted, residual_between
+from magmatch.slam.graph.normal_equations import counted, odometry_steps, residual_between
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.typing import Scalars
 
 # What a right closure's squared residual is expected to be.
 EXPECTED = 6.0
+# Standard deviations of the odometry, stated or learned, that a log bends by in the mean over what ties it: no drift
+# does so beyond.
+MOST_BENT = 3.0
 # Share of what the graph knows of a pair, beyond which it knows it from the closure itself.
 ITS_OWN = 0.99
 
@@ -33,6 +36,20 @@ def probabilities(graph: PoseGraph, *, at_first: bool) -> Scalars:
     # What ties two components no more, nothing contradicts; nothing speaks for it either.
     is_apart = component[ties.first] != component[ties.second]
     return np.asarray(np.where(waits | stays | is_apart, ties.weight, right))
+
+
+def strains(graph: PoseGraph) -> Scalars:
+    """By how many standard deviations of its odometry each log is bent, rms over what its ties can bend: (logs,)."""
+    n, edges, ties = len(graph.lasting), graph.edges, graph.ties
+    chi2 = np.zeros(n)
+    for _, _, P, r in odometry_steps(graph):
+        chi2 += np.bincount(edges.log, np.einsum("em,emk,ek->e", r, P, r), n)
+    one, other = graph.log[ties.first], graph.log[ties.second]
+    weight = ties.weight * np.where(one == other, 0.5, 1.0)
+    n_bent = EXPECTED * (np.bincount(one, weight, n) + np.bincount(other, weight, n))
+    if graph.fixed is not None:
+        n_bent += 3 * np.bincount(graph.log[graph.fixed.one], minlength=n)
+    return np.asarray(np.sqrt(chi2 / np.maximum(n_bent, EXPECTED)))
 
 
 def surprises(graph: PoseGraph) -> tuple[Scalars, Scalars]:

@@ -24,7 +24,7 @@ Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
     """Information of all unknowns (lower half), the gradient (n, 6) of half their chi^2, and chi^2."""
     n = len(graph.p) + len(graph.lasting)
-    parts = [*_alone(graph), *_scale_held(graph), *_odometry(graph), *_closures(graph), *_submaps(graph)]
+    parts = [*_alone(graph), *_scale_held(graph), *odometry_steps(graph), *_closures(graph), *_submaps(graph)]
     rows, columns, values, v, chi2 = [], [], [], np.zeros((n, SIDE)), 0.0
     for blocks, J, P, r in parts:
         e, k = blocks.shape
@@ -40,7 +40,8 @@ def normal_equations(graph: PoseGraph) -> tuple[bsr_array, np.ndarray, float]:
     return sum_of_blocks(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), n), v, chi2
 
 
-def _odometry(graph: PoseGraph) -> list[Part]:
+def odometry_steps(graph: PoseGraph) -> list[Part]:
+    """Steps between neighbouring nodes against the odometry's."""
     e = graph.edges
     if not len(e.first):
         return []

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.atomic import atomic_write
+from magmatch.data.tables.table import write_table
 from magmatch.geometry import adjoint
+from magmatch.number_text import exact
 from magmatch.slam.session import Session
 from magmatch.slam.statement import body_at
+from magmatch.typing import Scalars
 
 UPPER = np.triu_indices(6)
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-COLUMNS = ("log", "component", "t", *POSE, *(f"c{i}{j}" for i, j in zip(*UPPER, strict=True)))
+COLUMNS = (*POSE, *(f"c{i}{j}" for i, j in zip(*UPPER, strict=True)))
 
 
 def write_covariances(session: Session, path: Path) -> None:
@@ -21,7 +23,7 @@ def write_covariances(session: Session, path: Path) -> None:
     It is of xi, rotation first (rad, m), in ``T_true = T Exp(xi)``, by rows of its upper triangle: against the first
     node of the component, or in the frame of the fixed points. Of a rigid survey, its frame. Without times t is "".
     """
-    graph, lines = session.graph, [",".join(COLUMNS)]
+    graph, logs, components, moments, numbers = session.graph, [], [], [], []
     for name, component, one in zip(session.names, session.component_of, session.paths, strict=True):
         for node, about_node in zip(one.nodes.tolist(), graph.covariances(one.nodes), strict=True):
             T_node_body, t, _ = body_at(one, node, is_rigid=session.is_rigid)
@@ -29,8 +31,9 @@ def write_covariances(session: Session, path: Path) -> None:
             C = M @ about_node @ M.T
             # Of the first node it is zero, but for rounding.
             np.fill_diagonal(C, np.maximum(np.diagonal(C), 0.0))
-            numbers = *T.translation, *T.rotation.as_quat(), *C[UPPER]
-            at = "" if t is None else f"{t:.9g}"
-            lines.append(",".join([name, str(component), at, *(f"{x:.9g}" for x in numbers)]))
-    with atomic_write(path) as stream:
-        stream.write("\n".join([*lines, ""]).encode())
+            logs.append(name)
+            components.append(component)
+            moments += [""] if t is None else exact([t])
+            numbers.append([*T.translation, *T.rotation.as_quat(), *C[UPPER]])
+    columns: dict[str, Scalars | list[str]] = {"log": logs, "component": np.array(components), "t": moments}
+    write_table(path, columns | dict(zip(COLUMNS, np.array(numbers).T, strict=True)))

@@ -104,7 +104,7 @@ def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) 
         traces.append(flat(cut.along(p).mean(axis=0)[None], "text", hoverinfo="skip", showlegend=False, **text))
     a, b, c = ("xyz"[axis] for axis in cut.axes)
     title = f"The target under each pose<br><sub>base frame, seen along {c}; numbers as in the table</sub>"
-    figure, middles = cut.figure(title, traces), [cut.along(p).mean(axis=0) for p in lain]
+    figure, middles = cut.figure(title, traces), [p.mean(axis=0)[list(cut.axes[:2])] for p in lain]
     places = "; ".join(f"{k + 1} around {a} {x:.2f}, {b} {y:.2f} m" for k, (x, y) in enumerate(middles))
     return described(figure, f"Plan of the base with the outline of the target under each pose: {places}.")
 

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
-from magmatch.geometry import exp_se3, rotation_matrix, skew, transform_points
+from magmatch.geometry import covariance_about, exp_se3, rotation_matrix, transform_points
+from magmatch.number_text import told
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Matrix, Points, Scalars, Vector3
 
@@ -44,9 +45,8 @@ class Ellipsoid:
 
 def ellipsoids_at(covariance: Matrix, T_base_target: RigidTransform, center: Vector3) -> tuple[Ellipsoid, Ellipsoid]:
     """Ellipsoids of the position of a point of the target (m) and of the target's rotation (rad), in base axes."""
-    R = rotation_matrix(T_base_target)
-    J = np.hstack([-skew(np.asarray(center)[None])[0], np.eye(3)])
-    return _ellipsoid(R @ J @ covariance @ J.T @ R.T), _ellipsoid(R @ covariance[:3, :3] @ R.T)
+    R, C = rotation_matrix(T_base_target), covariance_about(covariance, np.asarray(center))
+    return _ellipsoid(R @ C[3:, 3:] @ R.T), _ellipsoid(R @ C[:3, :3] @ R.T)
 
 
 def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirection, reach: float) -> Points:
@@ -58,7 +58,7 @@ def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirec
 
 def length_text(metres: float) -> str:
     """A length in a convenient unit."""
-    return f"{1e3 * metres:.3g} mm" if metres < 0.9995 else f"{metres:.3g} m"
+    return f"{1e3 * metres:.3g} mm" if metres < 0.9995 else f"{told(metres, 3, 1.0)} m"
 
 
 def angle_text(radians: float) -> str:

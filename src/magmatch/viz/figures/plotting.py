@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all pictures share: the optional plotting library, colours, axes, and how many points are drawn."""
+"""What all pictures share: the optional plotting library, colours, axes, origins, and how many points are drawn."""
 
 from html import escape
 from types import ModuleType
@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from magmatch.data.checks import MAX_EXTENT
 from magmatch.errors import import_extra
-from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.geometry import near_origin
+from magmatch.number_text import told
+from magmatch.typing import Indices, Points, Scalars, Vector3, Vectors
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -30,6 +33,8 @@ DARK = {
 SCENE_HEIGHT, SCENE_WIDTH = 0.36, 0.38
 # Most samples drawn of one survey: what a phone turns smoothly, and what keeps a page small.
 MAX_DRAWN = 5000
+# m: origins taken off coordinates are whole multiples, so that pictures of one place have one.
+STEP = 1e3
 UT_PER_TESLA = 1e6
 
 
@@ -55,14 +60,39 @@ def label(text: str) -> str:
     return escape(text, quote=False)
 
 
+def origin_of(*points: Points) -> Vector3:
+    """What is taken off coordinates before they are drawn, whole kilometres: zero unless they lie far from it."""
+    everything = np.concatenate(points)
+    return near_origin(everything[np.isfinite(everything).all(axis=1)], STEP)
+
+
+def origins_of(*frames: Points) -> list[Vector3]:
+    """What is taken off the coordinates of each frame before they are overlaid.
+
+    It is one point for all, unless they lie farther apart than any survey extends: a picture of one frame in UTM and
+    one with an origin of its own would show two dots.
+    """
+    origin = origin_of(*frames)
+    if max(float(np.abs(p - origin).max()) for p in frames) <= MAX_EXTENT:
+        return [origin] * len(frames)
+    return [origin_of(p) for p in frames]
+
+
+def axis_title(axis: int, origin: Vector3, unit: str = "m") -> str:
+    """Name of a coordinate, and what was taken off it."""
+    off = float(origin[axis])
+    taken_off = "" if off == 0 else f" {'-' if off > 0 else '+'} {told(abs(off))}"
+    return f"{'xyz'[axis]}{taken_off} ({unit})"
+
+
 def for_display(values: np.ndarray) -> np.ndarray:
-    """Single precision is plenty for a screen and halves the page."""
+    """Single precision is plenty for a screen and halves the page: of coordinates without their origin."""
     return np.asarray(values, dtype=np.float32)
 
 
 def points3d(p: Points, **style: Any) -> Any:
-    """Markers in space."""
-    x, y, z = for_display(p).T
+    """Markers in space; `new_scene` takes their origin off."""
+    x, y, z = p.T
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="markers", **style)
 
 
@@ -72,8 +102,8 @@ def between(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 
 def curves3d(p: Points, **style: Any) -> Any:
-    """Curves in space, as a single trace: parted where a row is NaN."""
-    x, y, z = for_display(p).T
+    """Curves in space, as a single trace: parted where a row is NaN; `new_scene` takes their origin off."""
+    x, y, z = p.T
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="lines", hoverinfo="skip", **style)
 
 
@@ -106,18 +136,23 @@ def coloured_by_field(magnitude: Scalars, limits: tuple[float, float]) -> dict[s
 
 
 def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> "Figure":
-    """Put traces into a 3-D figure with equal scales."""
+    """Put traces into a 3-D figure with equal scales, about an origin near them that its axes name."""
+    points = [np.column_stack([t.x, t.y, t.z]) for t in traces]
+    origin = origin_of(*points)
+    points = [for_display(p - origin) for p in points]
+    for trace, p in zip(traces, points, strict=True):
+        trace.update(dict(zip("xyz", p.T, strict=True)))
     figure = require_plotly().Figure(traces)
     figure.update_layout(
         **_layout(f"{title}<br><sub>{label(frame)}</sub>"),
-        scene=_box(np.concatenate([np.column_stack([t.x, t.y, t.z]) for t in traces]), unit),
+        scene=_box(np.concatenate(points), origin, unit),
         height=480,
         legend={"orientation": "h", "x": 0, "itemsizing": "constant", **AT_THE_FOOT},
     )
     return figure
 
 
-def _box(p: Points, unit: str) -> dict[str, Any]:
+def _box(p: Points, origin: Vector3, unit: str) -> dict[str, Any]:
     """Axes around points, sized by their longest side.
 
     Plotly's own aspect mode 'data' scales by volume, which blows flat surveys up beyond the picture.
@@ -129,7 +164,7 @@ def _box(p: Points, unit: str) -> dict[str, Any]:
     aspect = 1.6 * (high - low) / (high - low).max()
     axes = {
         f"{axis}axis": {
-            "title": {"text": f"{axis} ({unit})"},
+            "title": {"text": axis_title(k, origin, unit)},
             "range": [float(low[k]), float(high[k])],
             # Numbers along a short side would lie upon each other.
             "nticks": 2 + int(6 * (high - low)[k] / (high - low).max()),

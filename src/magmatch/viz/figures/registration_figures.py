@@ -10,8 +10,9 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_points
+from magmatch.number_text import told
 from magmatch.registration.result import RegistrationResult
-from magmatch.typing import Points
+from magmatch.typing import Points, Vector3
 from magmatch.viz.figures.plotting import (
     BASE_COLOR,
     BASE_MARKER,
@@ -32,6 +33,7 @@ from magmatch.viz.figures.plotting import (
     magnitude_ut,
     new_plane,
     new_scene,
+    origins_of,
     points3d,
     require_plotly,
     thinned,
@@ -82,10 +84,20 @@ def links_figure(result: RegistrationResult) -> "Figure":
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
     """Both surveys in one picture: as recorded, and with the target in the base's frame."""
     links = result.links
+    off_base, off_target = origins_of(base.positions, target.positions)
+    if np.array_equal(off_base, off_target):
+        off_base = off_target = np.zeros(3)  # the scene takes off what all have in common
     before = new_scene(
         "Before: as recorded",
-        _traces(base, target.positions, target, links.base, links.target),
-        f"each survey in its own frame, overlaid; {drawn_words(base, target)}",
+        _traces(
+            base,
+            base.positions - off_base,
+            target,
+            target.positions - off_target,
+            links.base - off_base,
+            links.target - off_target,
+        ),
+        f"each survey in its own frame, overlaid{_taken_off(off_base, off_target)}; {drawn_words(base, target)}",
     )
     both = f"Base {base.name} ({len(base)} samples, circles) and target {target.name} ({len(target)}, diamonds)"
     described(before, f"{both} in space, each in its own frame, with lines between matching keypoints.")
@@ -95,7 +107,9 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
     moved = transform_points(links.target, T_base_target)
     p_base = transform_points(target.positions, T_base_target)
     title = "After: target in the base frame" if result.is_accepted else "Best candidate, NOT accepted"
-    after = new_scene(title, _traces(base, p_base, target, links.base, moved), f"frame of {base.name}")
+    after = new_scene(
+        title, _traces(base, base.positions, target, p_base, links.base, moved), f"frame of {base.name}"
+    )
     apart = np.linalg.norm(links.base - moved, axis=1)
     gap = f"; matching keypoints are {np.median(apart):.3g} m apart in the median" if len(apart) else ""
     described(after, f"{both} in the frame of the base{gap}.")
@@ -207,10 +221,20 @@ def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
     ]
 
 
-def _traces(base: Survey, p_target: Points, target: Survey, link_base: Points, link_target: Points) -> list[Any]:
+def _taken_off(*origins: Vector3) -> str:
+    """Where the origin of each frame stands in a picture of frames that are far from each other."""
+    if not any(origin.any() for origin in origins):
+        return ""
+    said = (f"({', '.join(told(v) for v in origin)})" for origin in origins)
+    return " about " + " and ".join(said) + " m"
+
+
+def _traces(
+    base: Survey, p_base: Points, target: Survey, p_target: Points, link_base: Points, link_target: Points
+) -> list[Any]:
     """Both surveys with their links."""
     traces = [
-        _samples(base.positions, base, f"base: {base.name}", BASE_COLOR, BASE_MARKER),
+        _samples(p_base, base, f"base: {base.name}", BASE_COLOR, BASE_MARKER),
         _samples(p_target, target, f"target: {target.name}", TARGET_COLOR, TARGET_MARKER),
     ]
     if not len(link_base):

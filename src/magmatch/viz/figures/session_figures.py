@@ -126,7 +126,7 @@ def _ellipses(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
     rows = []
     for node, C in zip(nodes, session.covariances_of_place(nodes), strict=True):
         values, directions = np.linalg.eigh(C[np.ix_(axes, axes)])
-        rows += [(directions * np.sqrt(values.clip(0))) @ circle + session.graph.p[node, axes][:, None]]
+        rows += [(directions * np.sqrt(values.clip(0))) @ circle + cut.along(session.graph.p[node][None]).T]
         rows += [np.full((2, 1), np.nan)]
     name, line = "95 % of where a node may be", {"color": BASE_COLOR, "width": 1}
     return [flat(np.concatenate(rows, axis=1).T, "lines", line=line, name=name, hoverinfo="name")]

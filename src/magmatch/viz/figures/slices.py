@@ -9,17 +9,19 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
-from magmatch.typing import Mask, Points, Scalars, Vectors
+from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 from magmatch.viz.figures.plotting import (
     FIELD_SCALE,
     INK,
     PAPER,
+    axis_title,
     colorbar,
     described,
     flat,
     for_display,
     magnitude_ut,
     new_plane,
+    origin_of,
     require_plotly,
 )
 
@@ -37,10 +39,11 @@ class Cut:
     """A plane of points normal to one axis of a frame."""
 
     points: Points  # (n, 3), m: row-major over (second axis, first axis)
-    first: Scalars  # (k,), m: coordinates along the two axes that span the plane
+    first: Scalars  # (k,), m: coordinates along the two axes that span the plane, without the origin
     second: Scalars  # (k,), m
     axes: tuple[int, int, int]  # (int, int, int): which axes are first, second and normal
     height: float  # m: where the plane cuts the normal axis
+    origin: Vector3  # (3,), m: taken off what is drawn, and named on the axes
 
     @property
     def words(self) -> str:
@@ -48,12 +51,12 @@ class Cut:
         return f"{'xyz'[self.axes[2]]} = {round(self.height, 2) + 0.0:.2f} m"
 
     def along(self, p: np.ndarray) -> np.ndarray:
-        """The two coordinates of points (n, 3) along the plane."""
-        return p[:, list(self.axes[:2])]
+        """The two coordinates of points (n, 3) along the plane, as they are drawn: without the origin."""
+        return np.asarray(p - self.origin)[:, list(self.axes[:2])]
 
     def figure(self, title: str, traces: list[Any]) -> "Figure":
         """Put traces into a figure of the plane."""
-        return new_plane(title, traces, *(f"{'xyz'[axis]} (m)" for axis in self.axes[:2]))
+        return new_plane(title, traces, *(axis_title(axis, self.origin) for axis in self.axes[:2]))
 
 
 def cut_through(p: Points) -> Cut:
@@ -74,7 +77,8 @@ def cut_normal_to(p: Points, normal: int, height: float | None = None) -> Cut:
     height = float(np.median(p[:, normal])) if height is None else height
     points = np.empty((len(second), len(first), 3))
     points[..., a], points[..., b], points[..., normal] = first[None, :], second[:, None], height
-    return Cut(points.reshape(-1, 3), first, second, (a, b, normal), height)
+    origin = origin_of(p)
+    return Cut(points.reshape(-1, 3), first - origin[a], second - origin[b], (a, b, normal), height, origin)
 
 
 def field_on(cut: Cut, field_map: FieldMap, T_cut_map: RigidTransform | None = None) -> tuple[Vectors, Mask]:

@@ -37,16 +37,16 @@ def path_figure(track: Track, k: int) -> "Figure":
 
 
 def status_figure(track: Track) -> "Figure":
-    """Probability of the best hypothesis along the path, and where a pose was stated."""
+    """Probability of the best place along the path, and where a pose was accurate enough to be stated."""
     walked = path_walked(track.log.positions)
     shown, traces = np.column_stack([walked, [e.probability for e in track.estimates]]), []
-    for status in dict.fromkeys(e.status for e in track.estimates):
-        rows = np.array([e.status is status for e in track.estimates])
-        traces.append(flat(shown[rows], marker={"size": 4}, name=status.replace("_", " ")))
-    figure = new_plane("How sure it was", traces, "path walked (m)", "probability", is_equal=False)
+    for phase in dict.fromkeys(e.phase for e in track.estimates):
+        rows = np.array([e.phase == phase for e in track.estimates])
+        traces.append(flat(shown[rows], marker={"size": 4}, name=phase))
+    figure = new_plane("How sure the place was", traces, "path walked (m)", "probability", is_equal=False)
     figure.update_yaxes(range=[0, 1.02])
     return described(
-        figure, f"Probability of the best hypothesis; a pose for {track.is_stated.mean():.0%} of the samples."
+        figure, f"Probability that the best place is right; a pose for {track.is_stated.mean():.0%} of the samples."
     )
 
 

@@ -11,6 +11,7 @@ from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.map import FieldMap
+from magmatch.number_text import told
 from magmatch.viz.figures.coverage import Coverage, cover_and_spread, left_out
 from magmatch.viz.figures.map_figures import comparison_figure, coverage_figure, field_figures, spread_figure
 from magmatch.viz.figures.slices import cut_through
@@ -75,7 +76,7 @@ def _facts(field_map: FieldMap) -> list[list[str]]:
         rows.append(["Surveys", ", ".join(f"{part.name} ({len(part)})" for part in field_map.surveys)])
     rows += [["Prior", field_map.config.prior]]
     if field_map.config.domain is not None:
-        rows.append(["Declared box", ", ".join(f"{v:g}" for v in field_map.config.domain) + " m"])
+        rows.append(["Declared box", ", ".join(told(v) for v in field_map.config.domain) + " m"])
     return rows
 
 

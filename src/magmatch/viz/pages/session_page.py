@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from magmatch.number_text import told
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.session import Session
 from magmatch.viz.figures.session_figures import session_figures, weakness_figure
@@ -101,7 +102,7 @@ def _anchors(result: SlamResult) -> Section:
     off = [float(np.linalg.norm(a.off)) for a in result.anchors]
     order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[:MAX_LISTED]
     rows = [
-        [result.anchors[k].log, f"{result.anchors[k].t:.9g} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
+        [result.anchors[k].log, f"{told(result.anchors[k].t)} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
         for k in order
     ]
     words = (

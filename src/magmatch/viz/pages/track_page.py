@@ -10,6 +10,12 @@ from magmatch.viz.pages.page import Section, again, bullets, figure_row, table, 
 
 # Most parts listed one by one, the longest.
 MAX_LISTED = 40
+# Where the place is known at the end and the pose is not, nothing was lost.
+UNCERTAIN = (
+    "The place is known to the end, the pose not as well as asked for: see the standard deviations below.",
+    "Turn and walk on, or along other lines: a field that varies along the path in all directions fixes the pose.",
+    "If so much uncertainty will do, state it: --max-sd METRES,DEGREES.",
+)
 NEXT_STEPS = {
     LocalizationStatus.LOCALIZED: ("Use it: the TUM file holds the stated poses, in the map's frame.",),
     LocalizationStatus.LOST: (
@@ -24,9 +30,15 @@ NEXT_STEPS = {
 }
 
 
+def next_steps(result: LocalizationResult) -> tuple[str, ...]:
+    """What to do, given how the log ended."""
+    return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
+
+
 def verdict_on(result: LocalizationResult) -> str:
     """Where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
     ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
+    ended = "Pose too uncertain at the end" if result.is_place_known else ended
     share = f"; a pose for {result.share:.0%} of the time" if result.is_localized else ""
     return verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
 
@@ -36,7 +48,7 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     answer = [
         verdict_on(result),
         "<h2 id='next'>What to do next</h2>",
-        bullets(NEXT_STEPS[result.status]),
+        bullets(next_steps(result)),
     ]
     sections = [Section("", answer)]
     sections += [
@@ -44,10 +56,10 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     ]
     longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[:MAX_LISTED]
     rows = [
-        [f"{s.t0:.2f}", f"{s.t1 - s.t0:.1f} s", s.status.replace("_", " "), s.map or "", s.why]
+        [f"{s.t0:.2f}", f"{s.t1 - s.t0:.1f} s", s.phase, s.map or "", s.why]
         for s in sorted(longest, key=lambda s: s.t0)
     ]
-    columns = ["from (s)", "for", "status", "map", "why"]
+    columns = ["from (s)", "for", "phase", "map", "why"]
     sections.append(Section("Along the log", [figure_row([status_figure(track)]), table(rows, columns)]))
     sections.append(again("Run it again", "", None, result.config))
     write_page(path, f"magmatch: {track.log.name}", sections)

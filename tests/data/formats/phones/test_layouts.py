@@ -3,6 +3,7 @@
 
 import gzip
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,6 +116,44 @@ def test_one_phyphox_table_of_several_sensors_may_have_holes(tmp_path):
     lines[5] = ",".join([*cells[:7], "NaN", "NaN", "NaN"])
     log = read_phone_log(zipped(tmp_path / "b.zip", {"Raw Data.csv": "\n".join(lines)}))
     assert [len(log.streams[s]) for s in READINGS] == [N, N, N - 1]
+
+
+def androsensor(kinds=("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION"), mark=";"):
+    """One table of all sensors, with what the app writes beside them."""
+    still, down = np.zeros((N, 3)), np.array([0, 0, STANDARD_GRAVITY])
+    columns = {
+        "ACCELEROMETER": ("m/s²", READINGS["acceleration"]),
+        "GRAVITY": ("m/s²", still + down),
+        "LINEAR ACCELERATION": ("m/s²", READINGS["acceleration"] - down),
+        "GYROSCOPE": ("rad/s", READINGS["rate"]),
+        "MAGNETIC FIELD": ("μT", READINGS["field"]),
+    }
+    used = [name for name in columns if name in (*kinds, "GYROSCOPE", "MAGNETIC FIELD")]
+    names = [f"{name} {axis} ({columns[name][0]})" for name in used for axis in "XYZ"]
+    names += ["ORIENTATION Z (azimuth °)", "LOCATION Latitude : ", "Satellites in range"]
+    names += ["Time since start in ms ", "YYYY-MO-DD HH-MI-SS_SSS"]
+    lines = [mark.join(names)]
+    for i, values in enumerate(np.hstack([columns[name][1] for name in used]).tolist()):
+        lines.append(
+            mark.join([*map(repr, values), "12.5", "48.1", "7 / 9", f"{20 * i}", f"2026-05-01 10:00:00:{i}"])
+        )
+    return "\n".join([*lines, ""])
+
+
+@pytest.mark.parametrize("mark", [";", ","])
+def test_androsensor_is_read_whole(mark, tmp_path):
+    (tmp_path / "Sensor_record.csv").write_text(androsensor(mark=mark))
+    assert sniff(tmp_path / "Sensor_record.csv") == "phone"
+    log = read_phone_log(tmp_path / "Sensor_record.csv")
+    assert log.app == "AndroSensor"
+    assert set(log.streams) == {*READINGS, "gravity", "linear_acceleration"}
+    assert_same(replace(log, streams={sensor: log.streams[sensor] for sensor in READINGS}))
+
+
+def test_androsensor_without_the_accelerometer_has_the_sum_of_its_parts(tmp_path):
+    (tmp_path / "record.csv").write_text(androsensor(("GRAVITY", "LINEAR ACCELERATION")))
+    sums = read_phone_log(tmp_path / "record.csv").acceleration("a test").values
+    np.testing.assert_allclose(sums, READINGS["acceleration"], atol=1e-9)
 
 
 def test_sensor_logger_is_read_whole(tmp_path):

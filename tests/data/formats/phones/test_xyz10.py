@@ -132,3 +132,11 @@ def test_posi_rows_are_points_in_degrees_with_their_floors(tmp_path):
     read_phone_log(tmp_path / "log.txt")  # which reads no points
     with pytest.raises(DataFormatError, match=r"line 5.*latitude of 149"):
         read_phone_log(tmp_path / "log.txt", with_points=True)
+
+
+def test_posi_rows_have_the_decimal_mark_of_their_log(tmp_path):
+    rows = ["% GetSensorData", "MAGN;0.25;100.5;1.5;2;3;3", "POSI;0.5;1;49.4613;11.1109;0;100"]
+    (tmp_path / "log.txt").write_text("\n".join(rows).replace(".", ","))
+    points = read_phone_log(tmp_path / "log.txt", with_points=True).points
+    assert points.times.tolist() == [0.5]
+    np.testing.assert_array_equal(points.places, [[49.4613, 11.1109]])

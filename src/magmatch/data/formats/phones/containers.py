@@ -40,6 +40,17 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
             yield {place / name: partial(_read_member, place, archive, name) for name in found}
 
 
+def member(path: Path, name: str) -> bytes | None:
+    """Content of one further file of a folder or archive, in whichever folder of it; None where there is none."""
+    if is_folder(path):
+        return _read_file(path / name) if (path / name).is_file() else None
+    if not zipfile.is_zipfile(at_rest(path)):
+        return None
+    with zipfile.ZipFile(at_rest(path)) as archive:
+        found = [n for n in archive.namelist() if f"/{n.lower()}".endswith(f"/{name.lower()}") and not is_hidden(n)]
+        return _read_member(path, archive, found[0]) if found else None
+
+
 def plain_names(archive: zipfile.ZipFile) -> list[str]:
     """Names of members; none that is packed once more, which no app does."""
     return [name for name in archive.namelist() if not name.lower().endswith(".gz")]

@@ -2,20 +2,24 @@
 """Text logs of GetSensorData (LOPSI, CAR-CSIC): rows ``MAGN;app s;sensor s;x;y;z;accuracy`` under ``%`` lines."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, SurveyedPoints, stream_of
 from magmatch.data.formats.phones.tagged_rows import TaggedRows, lines_of
+from magmatch.data.tables.text_rows import decimal_of_cells
+from magmatch.errors import DataFormatError
 
 APP = "GetSensorData"
 _TAGS: Mapping[str, Sensor] = {"MAGN": "field", "ACCE": "acceleration", "GYRO": "rate"}
 _NAMES = ("app time", "sensor time", "x", "y", "z")
 # Points that the walker marked: ``POSI;app s;counter;latitude;longitude;floor;building``.
 _POINT, _POINT_NAMES = "POSI", ("app time", "counter", "latitude", "longitude", "floor")
-_ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.]+;")
+# The lines above the rows may name the columns: ``% MAGN: 'MAGN;AppTimestamp(s);SensorTimestamp(s);Mag_X(uT);...'``.
+_NAMED = re.compile(r"\b(MAGN|ACCE|GYRO);([^'\"]*)")
+_ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.,]+;")
 # Sensors whose clocks differ by no more than this from the app's share one clock, s.
 ONE_CLOCK = 1.0
 
@@ -31,24 +35,23 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
     The app's times come in bursts; the sensors' own are even. So a row's time is its sensor's, moved by the median of
     what the app's clock is ahead: of all sensors together where they share a clock.
     """
-    rows = TaggedRows(path, _NAMES, recover=recover)
-    blocks = _take(rows, raw, _TAGS).blocks()
+    blocks = _rows(path, raw, _TAGS, _NAMES, recover).blocks()
     ahead = {tag: float(np.median(block[:, 0] - block[:, 1])) for tag, (block, _) in blocks.items()}
     if ahead and max(ahead.values()) - min(ahead.values()) < ONE_CLOCK:
         ahead = dict.fromkeys(
             ahead, float(np.median(np.concatenate([b[:, 0] - b[:, 1] for b, _ in blocks.values()])))
         )
     streams = {}
-    for tag, (block, lines) in blocks.items():
+    for tag, (block, numbers) in blocks.items():
         if (sensor := _TAGS[tag]) in wanted:
             values = block[:, 2:] * PER_UNIT[sensor]
-            streams[sensor] = stream_of(path, f"{tag} rows", block[:, 1] + ahead[tag], values, lines)
+            streams[sensor] = stream_of(path, f"{tag} rows", block[:, 1] + ahead[tag], values, numbers)
     return streams
 
 
 def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
     """Read the points that the walker marked, which have the app's times only."""
-    blocks = _take(TaggedRows(path, _POINT_NAMES, recover=recover), raw, (_POINT,)).blocks()
+    blocks = _rows(path, raw, {_POINT}, _POINT_NAMES, recover).blocks()
     if _POINT not in blocks:
         return None
     block, lines = blocks[_POINT]
@@ -56,10 +59,33 @@ def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> Surveye
     return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0], block[:, 2:4], lines, floors, in_degrees=True)
 
 
-def _take(rows: TaggedRows, raw: bytes, tags: Collection[str]) -> TaggedRows:
-    """Collect the rows with some tags."""
-    for i, line in enumerate(lines_of(raw), start=1):
+def _rows(path: Path, raw: bytes, tags: Collection[str], names: Sequence[str], recover: bool) -> TaggedRows:
+    """Rows with some tags, with the decimal mark of the whole log: that of its sensors' rows."""
+    lines = lines_of(raw)
+    _require_order(path, lines)
+    decimal = decimal_of_cells(path, ((i, cells) for i, _, cells in _tagged(lines, _TAGS, len(_NAMES))), _NAMES)
+    rows = TaggedRows(path, names, decimal, recover=recover)
+    for i, tag, cells in _tagged(lines, tags, len(names)):
+        rows.take(tag, i, cells)
+    return rows
+
+
+def _tagged(lines: Sequence[str], tags: Collection[str], n: int) -> Iterator[tuple[int, str, list[str]]]:
+    """Line number, tag and first cells of the rows with some tags."""
+    for i, line in enumerate(lines, start=1):
         tag, _, rest = line.partition(";")
         if tag in tags:
-            rows.take(tag, i, rest.split(";")[: len(rows.names)])
-    return rows
+            yield i, tag, rest.split(";")[:n]
+
+
+def _require_order(path: Path, lines: Sequence[str]) -> None:
+    """Refuse a log whose header names the columns in another order."""
+    for i, line in enumerate(lines, start=1):
+        if line.partition(";")[0] in _TAGS:
+            return
+        if line.startswith("%") and (found := _NAMED.search(line)):
+            words = [word.strip() for word in found[2].split(";") if word.strip()][: len(_NAMES)]
+            axes = [re.sub(r"\(.*", "", word).lower()[-1:] for word in words[2:]]
+            if sorted(axes) == [*"xyz"] and (axes != [*"xyz"] or "sens" in words[0].lower()):
+                message = f"expected {', '.join(_NAMES)} behind {found[1]}, found the columns {', '.join(words)}"
+                raise DataFormatError(path, f"{message}; bring them into this order", line=i)

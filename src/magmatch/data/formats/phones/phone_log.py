@@ -11,6 +11,7 @@ import numpy as np
 
 from magmatch.data.geodesy import what_is_wrong
 from magmatch.errors import DataFormatError
+from magmatch.number_text import told
 from magmatch.typing import Indices, Matrix, Scalars, Vectors
 
 logger = logging.getLogger(__name__)
@@ -80,9 +81,9 @@ class SurveyedPoints:
         for time, (x, y), line in zip(times, places, lines, strict=True):
             wrong = what_is_wrong(np.array([x]), np.array([y])) if in_degrees else ""
             if not in_degrees and max(abs(x), abs(y)) > FARTHEST:
-                wrong = f"found x, y of {x:g}, {y:g}, expected metres within {FARTHEST:g} of the origin"
+                wrong = f"found x, y of {told(x)}, {told(y)}, expected metres within {FARTHEST:g} of the origin"
             if abs(time) > LATEST:
-                wrong = f"found a time of {time:g} s, expected one below {LATEST:g}"
+                wrong = f"found a time of {told(time)} s, expected one below {LATEST:g}"
             if wrong:
                 raise DataFormatError(path, f"{source}: {wrong}", line=int(line))
         return cls(times, places, in_degrees, floors, source, lines)
@@ -165,7 +166,8 @@ def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: I
     if len(times) and behind.max() > MAX_STEP_BACK:
         row = int(np.argmax(behind > MAX_STEP_BACK))
         message = (
-            f"time runs backward by {behind[row]:.4g} s: {times[row]:.9g} s; was the clock set, or two logs joined?"
+            f"time runs backward by {behind[row]:.4g} s: {told(times[row])} s; two logs joined, a clock that was "
+            "set, or rows in disorder (sort them by time)?"
         )
         raise DataFormatError(path, message, line=int(lines[row]))
     distinct, kept = np.unique(times, return_index=True)

@@ -9,11 +9,13 @@ from typing import get_args
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.phones.containers import opened_tables
+from magmatch.data.formats.phones.metadata import with_metadata
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream, SurveyedPoints
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
 from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import BROKEN_ZIP
+from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
 
@@ -55,15 +57,18 @@ def read_phone_log(
                     app, found = read_table_streams(place, raw, wanted, recover=recover)
                 streams = found | streams
                 apps.append(app)
+        told = with_metadata(Path(path), apps[0] if apps else "", streams)
     except BROKEN_ZIP as error:
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
-    return PhoneLog(Path(path), apps[0] if apps else "unknown", streams, points)
+    return PhoneLog(Path(path), apps[0] if apps else "unknown", told, points)
 
 
-def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None) -> Recording:
-    """Join a magnetometer of a phone with the poses of a trajectory file; by default its calibrated one."""
+def read_phone_recording(
+    path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None, trajectory: Trajectory | None = None
+) -> Recording:
+    """Join a magnetometer of a phone, by default its calibrated one, with poses: given, or of the layout's file."""
     log = read_phone_log(path, (sensor or "field",), recover=layout.recover)
     if sensor is None and "field" not in log.streams:
         raw = read_phone_log(path, recover=layout.recover)
@@ -75,5 +80,15 @@ def read_phone_recording(path: str | Path, layout: SurveyFormat, sensor: Sensor 
         log = raw
     stream = log.require(sensor or "field", "a survey")
     field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
-    hint = " ('magmatch odometry' makes one from accelerometer and gyroscope)"
-    return with_poses(path, stream.times, field, layout, hint)
+    hint = "" if layout.trajectory or trajectory is not None else _odometry_hint(path)
+    return with_poses(path, stream.times, field, layout, hint, trajectory)
+
+
+def _odometry_hint(path: str | Path) -> str:
+    """Where poses may come from, if the log holds what they are made of."""
+    try:
+        found = read_phone_log(path, recover=True).streams.keys()
+    except DataFormatError:
+        return ""
+    can = "rate" in found and ("acceleration" in found or {"linear_acceleration", "gravity"} <= found)
+    return " ('magmatch odometry' makes one from accelerometer and gyroscope)" if can else ""

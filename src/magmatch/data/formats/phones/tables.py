@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables of phone apps, told by their headers: phyphox, Sensor Logger, and Android's own ``event.timestamp``."""
+"""Tables of phone apps, told by their headers: phyphox, AndroSensor, Sensor Logger, and Android's own fields."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -10,9 +10,10 @@ import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, WORDS, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import TaggedRows
-from magmatch.data.tables.table import read_table
+from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.text_rows import delimiter_of, listed, split_row
+from magmatch.data.tables.text_rows import decimal_of_cells, delimiter_of, is_row, listed, split_row, stated_delimiter
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars
 
@@ -31,11 +32,16 @@ MEMBERS: Mapping[str, Sensor | None] = {
     "magnetometer uncalibrated": "raw_field",
 }
 AXES = ("x", "y", "z")
-# Names of phyphox: the sensor, an axis and the unit ("Magnetic field x (uT)", or "X (uT)").
+# Names of phyphox and AndroSensor: the sensor, an axis and the unit ("Magnetic field x (uT)", or "X (uT)").
 _PHYPHOX = re.compile(r"(?P<what>.*?)\s*\b(?P<axis>[xyz]) \((?P<unit>[^()]*)\)")
 _UNITS: Mapping[str, Sensor] = {
     "µt": "field", "μt": "field", "ut": "field", "m/s^2": "acceleration", "m/s²": "acceleration", "rad/s": "rate",
 }  # fmt: skip
+# Of these two apps: how a table calls its times, which are in 10**-digits s.
+_TIMES: Mapping[str, tuple[str, int]] = {
+    "phyphox": ("time (s)", 0),
+    "AndroSensor": ("time since start in ms", 3),
+}
 _ANDROID_TIME = "event.timestamp"
 _ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
 _ANDROID_VALUE = re.compile(r"(?:event\.)?values?[\[_.]?([0-2])\]?|(?:event\.)?([xyz])")
@@ -63,7 +69,7 @@ def is_phone_header(line: str) -> bool:
 def says_its_sensor(line: str, stem: str) -> bool:
     """Whether header and name of a table among others say that it is one of a sensor known here."""
     columns = columns_of(_cells(line), stem) if line else None
-    return columns is not None and bool(columns.app == "phyphox" or columns.tag or sensor_named(stem))
+    return columns is not None and bool(columns.app in _TIMES or columns.tag or sensor_named(stem))
 
 
 def read_table_streams(
@@ -71,11 +77,14 @@ def read_table_streams(
 ) -> tuple[str, dict[Sensor, Stream]]:
     """Name the app and read the sensors of a table that are wanted."""
     lines = text_lines(place, raw)
-    first = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith("#")), 0)
+    first, *second = [i for i, line in enumerate(lines) if is_row(line)][:2] or [0]
+    first = second[0] if second and stated_delimiter(lines[first]) else first
     names = _cells(lines[first])
     columns = columns_of(names, stem_of(place.name))
     if columns is None:
-        message = f"expected a phone's table (phyphox, Sensor Logger, Android); found columns {listed(names)}"
+        message = (
+            f"expected a phone's table (phyphox, AndroSensor, Sensor Logger, Android); found columns {listed(names)}"
+        )
         raise DataFormatError(place, message, line=first + 1)
     if columns.tag:
         return columns.app, _tagged(place, lines, first, columns, wanted, recover=recover)
@@ -84,13 +93,27 @@ def read_table_streams(
         if sensor not in wanted:
             continue
         # One table of several sensors has cells without a number wherever one of them is slower.
-        table = read_table(place, [columns.time, *axes], raw=raw, recover=recover or len(columns.sensors) > 1)
-        table.require([columns.time, *axes])
+        table = _read(place, raw, columns, axes, recover=recover or len(columns.sensors) > 1)
         times = table.columns[columns.time]
-        times = times / ticks_per_second(columns.app, times)
         values = table.stack(*axes) * PER_UNIT[sensor]
         streams[sensor] = stream_of(place, place.name, times, values, table.line_numbers)
     return columns.app, streams
+
+
+def _read(place: Path, raw: bytes, columns: Columns, axes: tuple[str, ...], *, recover: bool) -> Table:
+    """Read times, in s, and axes of a table."""
+
+    def read(digits: int) -> Table:
+        wanted = [columns.time, *axes]
+        table = read_table(place, wanted, raw=raw, recover=recover, digits={columns.time: digits})
+        table.require(wanted)
+        return table
+
+    if columns.app != "Android":
+        return read(_digits_of_times(columns.app, np.zeros(0)))
+    table = read(0)  # their unit is told by all of them
+    digits = _digits_of_times(columns.app, table.columns[columns.time])
+    return read(digits) if digits else table
 
 
 def columns_of(names: list[str], stem: str) -> Columns | None:
@@ -111,7 +134,8 @@ def columns_of(names: list[str], stem: str) -> Columns | None:
             sensors.setdefault(
                 _variant(sensor, f"{what} {stem}"), tuple(f"{what} {a} ({unit})".strip() for a in AXES)
             )
-    return Columns("phyphox", "time (s)", sensors) if sensors and "time (s)" in names else None
+    app = next((app for app, (time, _) in _TIMES.items() if time in names), "")
+    return Columns(app, _TIMES[app][0], sensors) if sensors and app else None
 
 
 def _android(names: list[str], stem: str) -> Columns | None:
@@ -143,17 +167,19 @@ def _variant(sensor: Sensor, words: str) -> Sensor:
     """The sensor itself, or what is left of it without calibration or gravity."""
     if sensor == "field" and "uncal" in words:
         return "raw_field"
+    if sensor == "acceleration" and words.startswith("gravity"):
+        return "gravity"
     return "linear_acceleration" if sensor == "acceleration" and "linear" in words else sensor
 
 
-def ticks_per_second(app: str, times: Scalars) -> float:
-    """Unit of a table's times; Android's is told by how far apart they are, sensors reading at 1 to 1000 Hz."""
-    if app == "phyphox" or len(times) < 2:
-        return 1.0
+def _digits_of_times(app: str, times: Scalars) -> int:
+    """Times are in 10**-digits s; Android's are told by how far apart they are, sensors reading at 1 to 1000 Hz."""
     if app == "Sensor Logger":
-        return 1e9
+        return 9
+    if app in _TIMES or len(times) < 2:
+        return _TIMES.get(app, ("", 0))[1]
     interval = float(np.median(np.abs(np.diff(times))))
-    return next((unit for unit in (1e9, 1e6, 1e3) if interval >= unit / 1e3), 1.0)
+    return next((digits for digits in (9, 6, 3) if interval >= 10.0**digits / 1e3), 0)
 
 
 def _tagged(
@@ -163,7 +189,9 @@ def _tagged(
     names = _cells(lines[first])
     (axes,) = columns.sensors.values()
     used, k = [names.index(name) for name in (columns.time, *axes)], names.index(columns.tag)
-    rows = TaggedRows(place, (columns.time, *axes), recover=recover)
+    kinds = (columns.time, *axes)
+    picked = ((line, [cells[i] for i in used if i < len(cells)]) for line, cells in _rows(place, lines, first))
+    rows = TaggedRows(place, kinds, decimal_of_cells(place, picked, kinds), recover=recover)
     for line, cells in _rows(place, lines, first):
         sensor = sensor_named(cells[k]) if k < len(cells) else None
         if sensor in wanted:
@@ -171,10 +199,14 @@ def _tagged(
     found = rows.blocks()
     blocks = {sensor: found[sensor] for sensor in wanted if sensor in found}
     longest = max((block[:, 0] for block, _ in blocks.values()), key=len, default=np.zeros(0))
-    ticks = ticks_per_second(columns.app, longest)
+    per_second = 10 ** _digits_of_times(columns.app, longest)
     return {
         sensor: stream_of(
-            place, f"{place.name} ({WORDS[sensor]})", block[:, 0] / ticks, block[:, 1:] * PER_UNIT[sensor], numbers
+            place,
+            f"{place.name} ({WORDS[sensor]})",
+            seconds_of(rows.times[sensor], per_second),
+            block[:, 1:] * PER_UNIT[sensor],
+            numbers,
         )
         for sensor, (block, numbers) in blocks.items()
     }
@@ -184,7 +216,7 @@ def _rows(place: Path, lines: list[str], first: int) -> Iterator[tuple[int, list
     """Line number and cells of the rows below a header."""
     mark = delimiter_of(place, lines[first], first + 1)
     for i, line in enumerate(lines[first + 1 :], start=first + 2):
-        if line.strip() and not line.startswith("#"):
+        if is_row(line):
             yield i, split_row(line, mark)
 
 

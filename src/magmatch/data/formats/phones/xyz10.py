@@ -49,7 +49,7 @@ def points_of_xyz10(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints 
 def _rows(path: Path, raw: bytes, tags: Collection[str], axes: str, recover: bool) -> TaggedRows:
     """Rows with some tags: time and values."""
     names = ("time", *axes)
-    rows = TaggedRows(path, names, recover=recover)
+    rows = TaggedRows(path, names, "point", recover=recover)
     for i, line in enumerate(lines_of(raw), start=1):
         if line.startswith("#"):
             continue

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Columns of a survey in a text table, and what to do about a table that lacks them."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.survey_columns import COLUMNS, FRAME_COLUMN, ChosenColumns, choose_columns, column_numbers
+from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.text_rows import is_sample
+from magmatch.data.units import DIGITS_OF_SECOND
+
+
+def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenColumns]:
+    """Read the columns of a survey from a CSV, by the file's names; and which is which."""
+    stated, has_poses = layout.stated_columns(), layout.trajectory is None
+
+    def choose(names: Sequence[str]) -> ChosenColumns:
+        return choose_columns(path, names, stated, has_poses=has_poses)
+
+    table = read_table(
+        path,
+        (*stated.values(), *COLUMNS),
+        recover=layout.recover,
+        advise=advice_for,
+        texts=(FRAME_COLUMN,),
+        choose=lambda names: choose(names).ours,
+        numbered=column_numbers(stated),
+        decimal=layout.decimal or "",
+        digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
+    )
+    return table, choose(table.names)
+
+
+def advice_for(names: Sequence[str]) -> str:
+    """What to do about a table without the columns of a survey, from the names it has."""
+    if names and all(map(is_sample, names)):
+        pairs = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7" if len(names) > 6 else "t=1,bx=2,by=3,bz=4"
+        return f"Without a header, say which column is which, counted from 1: --columns {pairs}"
+    if len(names) == 1 and (mark := re.search(r"[^\w\s.()\[\]\"'/^-]", names[0])):
+        return f"If '{mark[0]}' separates the columns, write sep={mark[0]} in a line above"
+    if all(any(name.startswith(part) for name in names) for part in ("lat", "lon")):
+        return "Where they have other names: --columns lat=THEIRS,lon=...,bx=..."
+    return "Where they have other names: --columns x=THEIRS,y=...,bx=..."

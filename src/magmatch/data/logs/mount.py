@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where the sensor sits on the body: looked for in tf_static, in tf, and in the robot's description."""
+
+import logging
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.data.logs.decode import ENCODINGS, decode
+from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
+from magmatch.data.logs.log import Log, Topic, batches
+from magmatch.data.logs.messages import TREES, Entries, Frames
+from magmatch.data.logs.streams import Stream, read_streams
+from magmatch.errors import DataFormatError
+
+logger = logging.getLogger(__name__)
+
+DESCRIPTION, STRING = "robot_description", "std_msgs/String"
+# Bytes of a description that is looked at, stated in docs/formats.md: those of large robots have some 100 KB.
+MAX_DESCRIPTION = 16 << 20
+
+
+def is_static(topic: Topic) -> bool:
+    """Whether a topic is that of transforms that hold for good, of one robot or of one among several."""
+    return topic.name.rsplit("/", 1)[-1] == "tf_static"
+
+
+def trees(topics: Iterable[Topic]) -> list[Topic]:
+    """Topics of tf messages that can be read."""
+    return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
+
+
+def merged(streams: Sequence[Stream]) -> dict[Frames, Entries]:
+    """Edges of several topics; one that several have is taken from the first."""
+    return {frames: part for stream in reversed(streams) for frames, part in stream.entries.items()}
+
+
+def find_mount(
+    log: Log, topics: Sequence[Topic], tree: FrameTree, fixed: str, body: str, sensor: str
+) -> RigidTransform | None:
+    """``T_body_sensor``; None, said aloud, where no place in the log tells it.
+
+    ``tree`` is what has been read of tf so far; the rest is read only where that does not connect the two.
+    """
+    T_body_sensor = tree.static_transform(body, sensor) if body else None
+    if T_body_sensor is not None:
+        return T_body_sensor
+    entries = _unread(log, [topic for topic in trees(topics) if not is_static(topic)])
+    tree = replace(tree, static=fixed_edges(entries, {}) | tree.static)
+    moving = {*tree.moving, *entries} - tree.static.keys()
+    tree = with_description(log, topics, tree)
+    T_body_sensor = tree.static_transform(body, sensor) if body else None
+    if T_body_sensor is None:
+        edges = [*tree.static, *moving]
+        is_moving = bool(body) and path_between(edges, body, sensor) is not None
+        says = "tf moves" if is_moving else "nothing says where"
+        on = repr(body) if body else "the body whose poses these are"
+        is_in_tf = fixed not in {"", sensor} and path_between(edges, fixed, sensor) is not None
+        logger.warning(
+            "%s: %s %r %s %s; the poses are taken as the magnetometer's own (%s)",
+            log.path, says, sensor, "against" if is_moving else "sits on", on,
+            f"--pose-frames {fixed},{sensor} takes them from tf" if is_in_tf else "--extrinsic",
+        )  # fmt: skip
+    return T_body_sensor
+
+
+def with_description(log: Log, topics: Sequence[Topic], tree: FrameTree) -> FrameTree:
+    """The tree, with the fixed joints of the robot's description (URDF) where tf does not state them."""
+    wanted = {topic.channel for topic in topics if _is_description(topic)}
+    joints: dict[Frames, RigidTransform] = {}
+    for channel, _, payloads in batches(log.messages({c.topic for c in wanted})) if wanted else ():
+        if channel in wanted:
+            for payload in payloads:
+                ((_, content),) = decode(channel, [payload])
+                if isinstance(content, dict):
+                    joints |= _fixed_joints(log.path, content["data"])
+    return replace(tree, static={edge: T for edge, T in joints.items() if edge not in tree.moving} | tree.static)
+
+
+def _is_description(topic: Topic) -> bool:
+    name = topic.name.rsplit("/", 1)[-1]
+    return bool(name == DESCRIPTION and topic.type == STRING and topic.encoding in ENCODINGS and topic.count)
+
+
+def _unread(log: Log, topics: Sequence[Topic]) -> dict[Frames, Entries]:
+    """Edges of topics that nothing but a mount is asked of; what is damaged of them is left aside."""
+    try:
+        return merged(read_streams(log, topics, recover=True, thin=extremes)) if topics else {}
+    except DataFormatError as error:
+        logger.warning("%s", error)
+        return {}
+
+
+def _fixed_joints(path: Path, text: Any) -> dict[Frames, RigidTransform]:
+    """Transforms of the joints of a URDF that do not move, by names of links; its text may stand in a column."""
+    words = text if isinstance(text, str) else text[0].decode("utf-8", "replace")
+    if len(words) > MAX_DESCRIPTION or "<!ENTITY" in words:
+        return {}
+    found = {}
+    try:
+        for joint in ElementTree.fromstring(words).iter("joint"):
+            ends = [joint.find(end) for end in ("parent", "child")]
+            if joint.get("type") != "fixed" or None in ends:
+                continue
+            origin = joint.find("origin")
+            xyz, rpy = (_three(None if origin is None else origin.get(name)) for name in ("xyz", "rpy"))
+            parent, child = (end.get("link", "").lstrip("/") for end in ends if end is not None)
+            found[parent, child] = RigidTransform.from_components(xyz, Rotation.from_euler("xyz", rpy))
+    except (ElementTree.ParseError, ValueError) as error:
+        logger.warning("%s: its %s cannot be read (%s)", path, DESCRIPTION, error)
+    return found
+
+
+def _three(text: str | None) -> list[float]:
+    """Three numbers, zeros where none are stated."""
+    numbers = [float(word) for word in (text or "0 0 0").split()]
+    if len(numbers) != 3:
+        msg = f"expected three numbers, found {text!r}"
+        raise ValueError(msg)
+    return numbers

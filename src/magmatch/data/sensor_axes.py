@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Axes of a sensor that say nothing: stuck at one value, or at the end of their range.
+
+Both are values that come back exactly, so they are looked for in the sensor's own axes: in those of the survey no
+value comes back once the sensor turns. Readings that were turned there and back differ by rounding; `Levels` counts
+those as one value.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magmatch.data.survey import Survey
+from magmatch.data.units import field_text
+from magmatch.typing import Indices, Mask, Scalars, Vectors
+
+# Share of the field's size up to which values are one: a turn there and back in float64 leaves 1e-15 of it, one that
+# was written with nine digits in between 1e-9. The last digit of any magnetometer is above 1e-6.
+ROUNDING = 1e-9
+# Readings at one and the same largest value before it is the sensor's range, and how many values an axis must take at
+# least: of one that hardly changes, measured in coarse digits, the largest value may well be the commonest.
+FEWEST_AT_LIMIT, FEWEST_LEVELS = 5, 8
+# An axis is stuck where more than half of its readings are one value, and the values beside that have no more than a
+# quarter of these together: of a quiet axis in coarse digits they have more.
+MOSTLY, BESIDE = 0.5, 0.25
+# An axis that shows less than this share of what turns make of the mean field has no gain worth the name.
+LEAST_GAIN = 0.1
+# Share of readings at a limit that is worth a warning: fewer cut off no more than noise does.
+WORTH_SAYING = 0.01
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Levels:
+    """The distinct values of an axis, up to rounding."""
+
+    values: Scalars  # (k,), T: ascending
+    counts: Indices  # (k,): new readings at each; what is held says nothing more
+    number: Indices  # (n,): the value at which each reading is
+
+    @classmethod
+    def of(cls, readings: Vectors) -> "list[Levels]":
+        """Distinct values of each axis."""
+        is_new, size, found = ~find_repeats(readings), float(np.median(np.linalg.norm(readings, axis=1))), []
+        for values in readings.T:
+            order = np.argsort(values, kind="stable")
+            is_other = np.diff(values[order], prepend=-np.inf) > ROUNDING * size
+            number = np.empty(len(values), dtype=np.int64)
+            number[order] = np.cumsum(is_other) - 1
+            found.append(cls(values[order][is_other], np.bincount(number[is_new], minlength=is_other.sum()), number))
+        return found
+
+
+def sensor_readings(survey: Survey) -> Vectors:
+    """What the sensor read in its own axes, up to rounding: (n, 3), T; the field itself without orientations."""
+    return survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
+
+
+def find_repeats(readings: Vectors) -> Mask:
+    """Readings equal to the one before, up to the rounding of a turn to and fro."""
+    is_same = np.zeros(len(readings), dtype=bool)
+    size = np.linalg.norm(readings[1:], axis=1)
+    is_same[1:] = np.linalg.norm(np.diff(readings, axis=0), axis=1) <= ROUNDING * size
+    return is_same
+
+
+def at_limit(readings: Vectors) -> Mask:
+    """Which components are at the end of the sensor's range: (n, 3).
+
+    More are at one largest value than at the next three: noise thins out toward the end, a limit piles values up.
+    """
+    is_limited = np.zeros(readings.shape, dtype=bool)
+    for axis, levels in enumerate(Levels.of(readings)):
+        if len(levels.counts) < FEWEST_LEVELS:
+            continue
+        for end, next_ones in ((0, slice(1, 4)), (len(levels.counts) - 1, slice(-4, -1))):
+            if levels.counts[end] >= FEWEST_AT_LIMIT and levels.counts[end] > levels.counts[next_ones].sum():
+                is_limited[:, axis] |= levels.number == end
+    return is_limited
+
+
+def stuck_axes(survey: Survey) -> list[str]:
+    """In words, the axes that read one value in most samples, or hardly follow the sensor's turns."""
+    names, readings = _names(survey), sensor_readings(survey)
+    stuck = {k: f"reads {field_text(v)} in {_share(mask)}" for k, (v, mask) in find_stuck(readings).items()}
+    if survey.orientations is not None:
+        turned = survey.orientations.apply(survey.field.mean(axis=0), inverse=True)
+        varies, expected = (np.ptp(np.quantile(b, [0.1, 0.9], axis=0), axis=0) for b in (readings, turned))
+        # Of all three, it is the orientations that are wrong.
+        if not (is_dead := varies < LEAST_GAIN * expected).all():
+            sizes = [tuple(field_text(float(v)) for v in pair) for pair in zip(varies, expected, strict=True)]
+            words = "hardly follows the sensor's turns (varies by {}, expected {})"
+            stuck = {k: words.format(*sizes[k]) for k in np.flatnonzero(is_dead).tolist()} | stuck
+    return [f"{names[k]} {words}" for k, words in sorted(stuck.items())]
+
+
+def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
+    """Of each axis that is stuck the value (T), and which readings (n, 3) are at it."""
+    found = {}
+    for axis, levels in enumerate(Levels.of(readings)):
+        most = int(levels.counts.argmax())
+        count = levels.counts[most]
+        beside = levels.counts[max(most - 1, 0) : most + 2].sum() - count
+        if count > MOSTLY * levels.counts.sum() and beside <= BESIDE * count:
+            found[axis] = float(levels.values[most]) + 0.0, levels.number == most
+    return found
+
+
+def doubt_axes(survey: Survey) -> list[str]:
+    """In words, the axes that are stuck, else those that reach the end of their range."""
+    if stuck := stuck_axes(survey):
+        return [f"{words}: it is stuck or at the end of its range, nothing is estimated from it" for words in stuck]
+    readings, found = sensor_readings(survey), []
+    for name, values, is_limited in zip(_names(survey), readings.T, at_limit(readings).T, strict=True):
+        if is_limited.mean() >= WORTH_SAYING:
+            ends = " and ".join(dict.fromkeys(field_text(float(v)) for v in np.sort(values[is_limited])))
+            found.append(f"{name} is at the end of its range, {ends}, in {_share(is_limited)}: the field is stronger")
+    return found
+
+
+def _names(survey: Survey) -> list[str]:
+    """What the axes are called."""
+    words = "the field's {} component" if survey.orientations is None else "the sensor's {} axis"
+    return [words.format(axis) for axis in "xyz"]
+
+
+def _share(mask: Mask) -> str:
+    return f"all {len(mask)} samples" if mask.all() else f"{100 * mask.mean():.0f} % of the samples"

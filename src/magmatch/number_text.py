@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers as text: to the last bit in files, and with the digits that tell them apart in messages."""
+
+from math import ceil, isfinite, log10
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def exact(numbers: ArrayLike) -> list[str]:
+    """Numbers (n,) of a text file, each as the shortest text that reads back as the same float64.
+
+    Examples
+    --------
+    >>> exact([1700000005.144828, 0.1, 5334583.991234567])
+    ['1700000005.144828', '0.1', '5334583.991234567']
+    """
+    return list(map(repr, np.asarray(numbers).tolist()))
+
+
+def told(number: float, digits: int = 15, step: float | None = None) -> str:
+    """Number of a message, with so many significant digits, or more where a `step` (its unit) would be lost.
+
+    Fifteen is what a float64 keeps of any decimal number: two times differ in print as they do in the file.
+
+    Examples
+    --------
+    >>> told(1700000000.02), told(0.1 + 0.2), told(5334583.9912, 4, 1e-3), told(1.23456, 4, 1e-3)
+    ('1700000000.02', '0.3', '5334583.991', '1.235')
+    """
+    if step is not None and isfinite(number) and abs(number) > step:
+        digits = max(digits, ceil(log10(abs(number) / step)))
+    return f"{number:.{digits}g}"

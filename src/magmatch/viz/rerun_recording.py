@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording for the Rerun viewer: surveys, cuts through maps, and the target moving into place."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Slerp
+
+from magmatch.atomic import atomic_write
+from magmatch.data.survey import Survey
+from magmatch.errors import import_extra
+from magmatch.field.map import FieldMap
+from magmatch.geometry import rotation_matrix, transform_points
+from magmatch.number_text import told
+from magmatch.registration.maps import survey_of
+from magmatch.registration.result import RegistrationResult
+from magmatch.slam.session import Session
+from magmatch.typing import Indices, Matrix, Scalars, Vector3
+from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut, origins_of, thinned
+from magmatch.viz.figures.registration_figures import shown_pose
+from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on
+from magmatch.viz.verdict import headline
+
+# Steps of the timeline 'registration', from as recorded to registered.
+N_STEPS = 20
+POINT_SHARE = 0.002
+LINK = (87, 96, 106)
+# Most samples drawn of one survey: what the viewer turns smoothly without a graphics card.
+MAX_SHOWN = 100_000
+MAX_LINKS = 200
+# Navy through grey to yellow: lightness rises all along, and nearly everyone tells blue from yellow.
+SHADES = np.array([[0, 34, 78], [60, 77, 110], [124, 123, 120], [187, 175, 110], [254, 232, 56]], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Part:
+    """A survey or a map, in its own frame."""
+
+    name: str  # unique among the parts; what its node is called
+    survey: Survey
+    field_map: FieldMap | None
+
+    @property
+    def rows(self) -> Indices:
+        """Samples that are drawn."""
+        return thinned(len(self.survey), MAX_SHOWN)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scene:
+    """Everything that a recording shows."""
+
+    parts: tuple[Part, ...]  # with a registration: base and target
+    # Points of each part's frame that are its origin in the recording, m: positions there are of single precision
+    origins: tuple[Vector3, ...]
+    # Pose of the target in the base, between these origins; the best candidate if none was accepted
+    T_base_target: RigidTransform | None
+    result: RegistrationResult | None
+    # (float, float), uT: range of the colour scale of field magnitudes, common to all parts
+    limits: tuple[float, float]
+
+    @property
+    def words(self) -> list[str]:
+        """Description of the picture."""
+        said = [] if self.result is None else [headline(self.result) + ".", self.result.reason + "."]
+        said += [f"{part.name}: {_described(part)}." for part in self.parts]
+        said += [f"{part.name}: coordinates are relative to {_place(o)} m." for part, o in self.placed if o.any()]
+        low, high = self.limits
+        return [*said, f"Shades of field magnitude go from {low:.3g} uT (dark) to {high:.3g} uT (light)."]
+
+    @property
+    def placed(self) -> Iterator[tuple[Part, Vector3]]:
+        """Parts with their origins."""
+        return zip(self.parts, self.origins, strict=True)
+
+    def pose_of_target(self, share: float) -> RigidTransform:
+        """Where the target stands on the way from as it was recorded (0) to registered (1)."""
+        if self.T_base_target is None:
+            return RigidTransform.identity()
+        ends = np.stack([np.eye(3), rotation_matrix(self.T_base_target)])
+        turn = Slerp([0.0, 1.0], type(self.T_base_target.rotation).from_matrix(ends))(share)
+        return RigidTransform.from_components(share * self.T_base_target.translation, turn)
+
+    def links(self, share: float) -> np.ndarray:
+        """Both ends of every link in the base's frame, (n, 2, 3), with the target where `pose_of_target` has it."""
+        if self.result is None:
+            return np.zeros((0, 2, 3), dtype=np.float32)
+        rows, ends = thinned(len(self.result.links.base), MAX_LINKS), self.result.links
+        base, target = self.origins
+        moved = self.pose_of_target(share).apply(ends.target[rows] - target)
+        return np.stack([ends.base[rows] - base, moved], axis=1).astype(np.float32)
+
+
+def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> Scene:
+    """Assemble what a recording shows; with a result, its base and its target."""
+    surveys = [survey_of(item) for item in drawn]
+    names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
+    parts = tuple(
+        Part(name, survey, item if isinstance(item, FieldMap) else None)
+        for name, survey, item in zip(names, surveys, drawn, strict=True)
+    )
+    limits = common_limits(*(magnitude_ut(survey.field) for survey in surveys))
+    origins = tuple(origins_of(*(survey.positions for survey in surveys)))
+    T_base_target = None if result is None else shown_pose(result)
+    if T_base_target is not None:
+        T_base, T_target = (RigidTransform.from_translation(origin) for origin in origins)
+        T_base_target = T_base.inv() * T_base_target * T_target
+    return Scene(parts, origins, T_base_target, result, limits)
+
+
+def require_rerun() -> ModuleType:
+    """Rerun's library."""
+    return import_extra("rerun", "a Rerun recording", "rerun")
+
+
+def write_rerun(path: str | Path, shown: Scene) -> None:
+    """Write a scene for the Rerun viewer (.rrd), whole or not at all."""
+    with _recording(path, shown) as (rr, recording):
+        _log_registration(rr, recording, shown)
+
+
+def write_session_rerun(path: str | Path, session: Session) -> None:
+    """Write the largest component of a session for the Rerun viewer: its map, its logs on their way, and closures."""
+    logs, graph = session.components[0], session.graph
+    shown = scene_of([session.map(0)])
+    (origin,) = shown.origins
+    with _recording(path, shown) as (rr, recording):
+        for k in logs:
+            before = transform_points(session.logs[k].positions, session.T_map_log(k))
+            moved = session.trajectories[k].positions - before
+            for step in range(N_STEPS + 1):
+                recording.set_time("correction", sequence=step)
+                strip = (before + step / N_STEPS * moved - origin).astype(np.float32)
+                recording.log(_path(rr, "logs", session.names[k]), rr.LineStrips3D([strip]))
+        for name, is_kept in (("closures", True), ("rejected", False)):
+            tied = [c for c in graph.closures if c.is_kept == is_kept and int(graph.log[c.second]) in logs]
+            if tied:
+                strips = (graph.p[[[c.first, c.second] for c in tied]] - origin).astype(np.float32)
+                recording.log(name, rr.LineStrips3D(strips, colors=LINK), static=True)
+
+
+@contextmanager
+def _recording(path: str | Path, shown: Scene) -> Iterator[tuple[ModuleType, Any]]:
+    """A recording of a scene to which more can be added, and which is then written."""
+    rr = require_rerun()
+    recording = rr.RecordingStream("magmatch")
+    memory = recording.memory_recording()
+    recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    recording.log("words", rr.TextDocument("\n\n".join(shown.words)), static=True)
+    for part, origin in shown.placed:
+        _log_part(rr, recording, shown, part, origin)
+    yield rr, recording
+    content = memory.drain_as_bytes()
+    with atomic_write(path) as stream:
+        stream.write(content)
+
+
+def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part, origin: Vector3) -> None:
+    """Samples, and the map on a cut."""
+    low, high = box_of(shown)
+    size = float(np.linalg.norm(high - low))
+    magnitude = magnitude_ut(part.survey.field[part.rows])
+    samples = rr.Points3D(
+        (part.survey.positions[part.rows] - origin).astype(np.float32),
+        colors=shaded(magnitude, shown.limits).astype(np.uint8),
+        radii=POINT_SHARE * size,
+    )
+    recording.log(_path(rr, part.name, "samples"), samples, static=True)
+    # For the table of the viewer, and for programs that read the recording.
+    bx, by, bz = UT_PER_TESLA * part.survey.field[part.rows].T
+    values = rr.AnyValues(bx_ut=bx, by_ut=by, bz_ut=bz)
+    recording.log(_path(rr, part.name, "samples"), values, static=True)
+    if origin.any():
+        recording.log(_path(rr, part.name), rr.AnyValues(origin_m=origin), static=True)
+    if part.field_map is None:
+        return
+    cut = cut_through(part.survey.positions)
+    field, is_known = field_on(cut, part.field_map)
+    colors = shaded(magnitude_ut(field), shown.limits)
+    faces = _faces(cut, is_known)
+    if len(faces):
+        mesh = rr.Mesh3D(
+            vertex_positions=(cut.points - origin).astype(np.float32),
+            triangle_indices=faces,
+            vertex_colors=colors.astype(np.uint8),
+        )
+        recording.log(_path(rr, part.name, "cut"), mesh, static=True)
+
+
+def _log_registration(rr: ModuleType, recording: Any, shown: Scene) -> None:
+    """The target's frame on its way, and the links that shrink with it."""
+    if shown.T_base_target is None:
+        return
+    for step in range(N_STEPS + 1):
+        recording.set_time("registration", sequence=step)
+        T = shown.pose_of_target(step / N_STEPS)
+        pose = rr.Transform3D(translation=T.translation, quaternion=rr.Quaternion(xyzw=T.rotation.as_quat()))
+        recording.log("target", pose)
+        links = shown.links(step / N_STEPS)
+        if len(links):
+            recording.log("links", rr.LineStrips3D(links, colors=LINK))
+
+
+def _faces(cut: Cut, is_known: np.ndarray) -> np.ndarray:
+    """Two triangles for every cell whose four corners are known."""
+    rows, columns = len(cut.second), len(cut.first)
+    number, known = np.arange(rows * columns).reshape(rows, columns), is_known.reshape(rows, columns)
+    a, b, c, d = (number[i : rows - 1 + i, j : columns - 1 + j] for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+    a, b, c, d = (corner[whole] for corner in (a, b, c, d))
+    return np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.uint32)
+
+
+def _path(rr: ModuleType, *names: str) -> str:
+    """Names may hold anything; paths escape what they must."""
+    return str(rr.new_entity_path(list(names)))
+
+
+def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
+    """Colours of numbers: (n, 3), 0 to 255."""
+    low, high = limits
+    place = np.clip((values - low) / (high - low), 0, 1) * (len(SHADES) - 1)
+    return np.stack([np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T], axis=1)
+
+
+def box_of(shown: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest corner of all parts, the target where it belongs, as recorded."""
+    p = [part.survey.positions[thinned(len(part.survey), 2000)] - origin for part, origin in shown.placed]
+    if shown.T_base_target is not None:
+        p[-1] = shown.T_base_target.apply(p[-1])
+    everything = np.concatenate(p)
+    return everything.min(axis=0), everything.max(axis=0)
+
+
+def _place(origin: Vector3) -> str:
+    return ", ".join(told(v) for v in origin)
+
+
+def _described(part: Part) -> str:
+    n, n_drawn = len(part.survey), len(part.rows)
+    drawn = "" if n == n_drawn else f", {n_drawn} drawn"
+    return f"{part.survey.name}, {n} samples{drawn}" + (", with its map" if part.field_map is not None else "")
+
+
+def _unique(names: list[str]) -> list[str]:
+    """Names of nodes: without slashes, which would nest them, and numbered where they repeat."""
+    clean = [name.replace("/", "_") or "survey" for name in names]
+    return [name if clean.count(name) == 1 else f"{name} {k + 1}" for k, name in enumerate(clean)]

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a console shows of an object is a line or three, however many numbers the object holds."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import magmatch as mm
+from magmatch.brief import brief
+from magmatch.features.features import Features
+from magmatch.field.values import FieldValues
+from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.result import LocalizationResult, LocalizationStatus
+from magmatch.localization.track import Track
+from magmatch.slam.result import ClosureResult, LogResult, SlamResult, SlamStatus
+
+N = 1000
+RNG = np.random.default_rng(0)
+POINTS, FIELD = RNG.uniform(0, 3, (N, 3)), RNG.normal([2e-5, 0, -4e-5], 1e-6, (N, 3))
+WALK = mm.Survey(POINTS, FIELD, np.arange(N) * 0.1, Rotation.random(N, rng=0), name="walk")
+LOST = Estimate(LocalizerStatus.LOST, "so it is " * 40, np.eye(4), np.eye(6), 0.9, np.zeros(3), np.ones(3), 1.0)
+CLOSURE = ClosureResult("a", 0.0, "b", 1.0, RigidTransform.identity(), np.eye(6), 0.99, 1.0)
+NOUNS = {
+    "Survey": WALK,
+    "Trajectory": mm.Trajectory(np.arange(N), POINTS, Rotation.random(N, rng=0)),
+    "Features": Features(POINTS, FIELD, np.ones(N), Rotation.random(N, rng=0), np.ones((N, 64))),
+    "no Features": Features.empty(64),
+    "FieldValues": FieldValues(FIELD, np.zeros((N, 3, 3))),
+    "Estimate": LOST,
+    "Track": Track(WALK, (), [LOST] * N, mm.LocalizerConfig(), {"total": 1.0}),
+    "LocalizationResult": LocalizationResult(LocalizationStatus.NEVER, "so it is " * 40, config={"a": [1] * N}),
+    "ClosureResult": CLOSURE,
+    "SlamResult": SlamResult(SlamStatus.CONNECTED, "all", (LogResult("a", 0, None, 1.0, 1, 0.0, (1.0, 0.1)),) * 50),
+    "Session": mm.Session(given=[WALK] * 50),
+}
+
+
+@pytest.mark.parametrize("name", NOUNS)
+def test_an_object_shows_itself_in_three_lines_or_fewer(name):
+    said = repr(NOUNS[name])
+    assert name.split()[-1] in said
+    assert len(said.splitlines()) <= 3
+    assert len(said) < 500
+
+
+def test_what_is_shown_are_sizes_and_words():
+    assert repr(NOUNS["Features"]) == (
+        "Features: positions (1000, 3), field (1000, 3), response (1000,), local_frames Rotation of 1000, "
+        "descriptors (1000, 64)"
+    )
+    assert repr(NOUNS["no Features"]).startswith("Features: positions (0, 3)")
+    assert repr(NOUNS["Track"]) == "Track of 'walk': a pose for 1000 of 1000 samples, 0 maps"
+
+
+def test_what_a_simulation_a_preparation_and_an_atlas_give_is_shown_briefly(tmp_path):
+    for module, name in (
+        ("simulation.scene", "SimulatedPair"),
+        ("preparation.preparation_report", "PreparationReport"),
+        ("atlas.atlas", "Atlas"),
+        ("registration.index.map_index", "MapIndex"),
+    ):
+        home = __import__(f"magmatch.{module}", fromlist=[name])
+        assert getattr(home, name).__repr__ is brief
+    assert repr(mm.Atlas(Path("maps"), (), mm.RegistrationConfig())).startswith("Atlas: folder 'maps', entries ")
