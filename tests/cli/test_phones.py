@@ -127,6 +127,8 @@ def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, 
     outcome = run("slam", tmp_path / "floor", "--out", tmp_path / "out", "--json")
     assert outcome.code == 0, outcome.err
     assert "2 logs; not read: floor_info.json" in outcome.err
+    assert "Dead reckoning of two.txt: " in outcome.err
+    assert "8 surveyed points that logs hold are fixed points (--no-waypoints" in outcome.err
     result = json.loads(outcome.out)
     assert [(log["name"], log["component"], log["is_fixed"]) for log in result["logs"]] == [
         ("one", 0, True),
@@ -142,6 +144,7 @@ def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, 
 def test_without_waypoints_none_is_used(tmp_path, run):
     pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     outcome = run("slam", xyz10(tmp_path, "walk.txt"), "--no-waypoints", "--out", tmp_path / "out", "--json")
+    assert "surveyed points" not in outcome.err
     assert json.loads(outcome.out)["anchors"] == []
     assert "--no-waypoints" in (tmp_path / "out" / "report.html").read_text()
 
@@ -186,7 +189,7 @@ def test_points_in_degrees_are_metres_about_the_first(tmp_path, run):
     assert outcome.code == 0, outcome.err
     result = json.loads(outcome.out)
     assert result["config"]["origin"] == [49, 11]
-    assert "metres east and north of 49.000000000,11.000000000" in outcome.err
+    assert "metres east and north of 49.0,11.0\n" in outcome.err
     assert [round(a["position"][1], 1) for a in result["anchors"]] == [0, 5.5, 0, 5.5]
     # Nothing ties a table in metres to the log's degrees, unless their origin is stated.
     survey, points = straight(t), read_phone_log(tmp_path / "walk.txt", with_points=True)

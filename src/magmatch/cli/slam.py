@@ -162,6 +162,8 @@ def marked_points(
         words = "the fixed points of --anchors are in metres: points in degrees that logs hold are not used"
         say(f"warning: {words}; state where x and y are 0 (setting 'origin': latitude, longitude) to use both")
         found = [anchor for anchor in found if not anchor.in_degrees]
+    if found:
+        say(f"{len(found)} surveyed points that logs hold are fixed points (--no-waypoints leaves them out)")
     return found
 
 

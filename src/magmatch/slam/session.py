@@ -158,7 +158,7 @@ class Session:
         """Name the fixed point without which all else agrees best, where they contradict each other or the log."""
         if np.max(self.graph.surprise_of_fixed(), initial=0.0) > SURPRISING:
             k, far = most_contradicted(self.graph)
-            said = "%s lies %.2g m from where all else has the log: a wrong number, time or log?"
+            said = "the fixed point of %s lies %.2g m from where all else has the log: a wrong number, time or log?"
             log.warning(said, self._now.anchors[k][0].source, far)
 
     def add_log(self, survey: Survey) -> None:
