@@ -2,12 +2,13 @@
 """Numbers as text: to the last bit in files, and with the digits that tell them apart in messages."""
 
 from math import ceil, isfinite, log10
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import ArrayLike
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
-def exact(numbers: ArrayLike) -> list[str]:
+def exact(numbers: "ArrayLike") -> list[str]:
     """Numbers (n,) of a text file, each as the shortest text that reads back as the same float64.
 
     Examples
@@ -15,6 +16,8 @@ def exact(numbers: ArrayLike) -> list[str]:
     >>> exact([1700000005.144828, 0.1, 5334583.991234567])
     ['1700000005.144828', '0.1', '5334583.991234567']
     """
+    import numpy as np  # messages need none of it, nor does help
+
     return list(map(repr, np.asarray(numbers).tolist()))
 
 

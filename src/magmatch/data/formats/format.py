@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from magmatch.data.survey_columns import MAY_BE_CONSTANT, constant_of
 from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
@@ -99,4 +98,6 @@ class SurveyFormat(Settings):
     @staticmethod
     def _is_reversed(ours: str, theirs: str) -> bool:
         """Whether a minus reverses a column: before the number of one that may be constant, it is the constant's."""
+        from magmatch.data.survey_columns import MAY_BE_CONSTANT, constant_of  # numpy is late for help
+
         return theirs.startswith("-") and not (ours in MAY_BE_CONSTANT and constant_of(theirs) is not None)
