@@ -58,7 +58,7 @@ def test_what_a_simulation_a_preparation_and_an_atlas_give_is_shown_briefly(tmp_
     for module, name in (
         ("simulation.scene", "SimulatedPair"),
         ("preparation.preparation_report", "PreparationReport"),
-        ("atlas.atlas", "Atlas"),
+        ("registration.index.atlas", "Atlas"),
         ("registration.index.map_index", "MapIndex"),
     ):
         home = __import__(f"magmatch.{module}", fromlist=[name])

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 from magmatch._version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from magmatch.atlas.atlas import Atlas, open_atlas
-    from magmatch.atlas.register import register
     from magmatch.data.read import read_survey
     from magmatch.data.survey import Survey
     from magmatch.data.trajectory import Trajectory
@@ -40,7 +38,9 @@ if TYPE_CHECKING:
     from magmatch.preparation.config import PreparationConfig
     from magmatch.preparation.prepare import prepare
     from magmatch.registration.config import PRESETS, RegistrationConfig
+    from magmatch.registration.index.atlas import Atlas, open_atlas
     from magmatch.registration.index.map_index import MapIndex
+    from magmatch.registration.register import register
     from magmatch.registration.result import RegistrationResult, Status
     from magmatch.simulation.simulate import simulate
     from magmatch.slam.config import SlamConfig
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "PRESETS": "registration.config",
-    "Atlas": "atlas.atlas",
+    "Atlas": "registration.index.atlas",
     "ConfigurationError": "errors",
     "DataFormatError": "errors",
     "DatasetError": "errors",
@@ -84,10 +84,10 @@ _HOMES = {
     "extract_features": "features.extract",
     "localize": "localization.localize",
     "merge": "slam.merge",
-    "open_atlas": "atlas.atlas",
+    "open_atlas": "registration.index.atlas",
     "prepare": "preparation.prepare",
     "read_survey": "data.read",
-    "register": "atlas.register",
+    "register": "registration.register",
     "simulate": "simulation.simulate",
     "slam": "slam.run",
     "view": "viz.view",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.atlas.retrieval import shortlist
+from magmatch.registration.search.retrieval import shortlist
 from magmatch.slam import places as places_module
 from magmatch.slam.decide.tie import tie
 from magmatch.slam.graph.odometry import odometry_graph

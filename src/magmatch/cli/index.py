@@ -27,8 +27,8 @@ def index(
     that is up to date is left alone; an outdated one is never used. 'register' itself indexes the maps of a folder,
     and stores what it computed from a single map.
     """
-    from magmatch.atlas.atlas import is_atlas, maps_in
     from magmatch.cli.inputs import read_map
+    from magmatch.registration.index.atlas import is_atlas, maps_in
     from magmatch.registration.index.map_index import index_path, make_index, open_index
 
     settings = registration_config("default", config)

@@ -133,12 +133,12 @@ def _register(
     keep: bool,
 ) -> "tuple[FieldMap | None, Survey | FieldMap, RegistrationResult]":
     """Register against a file or a folder; gives the maps of the answer (no base if no map of a folder fits)."""
-    from magmatch.atlas.atlas import is_atlas
-    from magmatch.atlas.register import register_anywhere
+    from magmatch.registration.index.atlas import is_atlas
     from magmatch.registration.maps import map_of
+    from magmatch.registration.register import register_keeping_maps
 
     known = None if is_atlas(base) else read_base(base, layouts, settings, keep=keep)
-    used, mapped, result = register_anywhere(base if known is None else known.base, target, settings, seed=seed)
+    used, mapped, result = register_keeping_maps(base if known is None else known.base, target, settings, seed=seed)
     if known is not None:
         known.keep(used, settings)
     return None if used is None else map_of(used), mapped, result

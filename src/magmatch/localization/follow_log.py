@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.arguments import expect_kind
-from magmatch.atlas.atlas import Atlas
 from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
@@ -20,6 +19,7 @@ from magmatch.localization.samples import OdometryJump
 from magmatch.localization.track import Track
 from magmatch.progress import tell
 from magmatch.registration.clock import Clock
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.maps import map_of, survey_of
 from magmatch.slam.graph.odometry import lie_level
 from magmatch.threads import one_blas_thread

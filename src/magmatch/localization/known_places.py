@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from magmatch.atlas.atlas import MAX_LOADED, Atlas, AtlasEntry, open_atlas
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.formats.sniff import sniff
 from magmatch.data.tables.text import is_folder
@@ -15,6 +14,7 @@ from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.localization.known_map import KnownMap
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.atlas import MAX_LOADED, Atlas, AtlasEntry, open_atlas
 from magmatch.registration.index.map_index import SUFFIX, MapIndex, open_index
 
 Place = FieldMap | MapIndex | Atlas

@@ -7,8 +7,6 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from magmatch.atlas.atlas import Atlas, AtlasEntry
-from magmatch.atlas.retrieval import count_votes, shortlist
 from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
@@ -16,7 +14,9 @@ from magmatch.localization.belief import BIN_LENGTH, Belief
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces
+from magmatch.registration.index.atlas import Atlas, AtlasEntry
 from magmatch.registration.maps import survey_of
+from magmatch.registration.search.retrieval import count_votes, shortlist
 from magmatch.typing import Scalars
 
 log = logging.getLogger(__name__)

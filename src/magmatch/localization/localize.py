@@ -4,8 +4,6 @@
 from typing import overload
 
 from magmatch.arguments import expect_kind
-from magmatch.atlas.atlas import Atlas
-from magmatch.atlas.localize import localize as register_to_atlas
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
@@ -14,7 +12,9 @@ from magmatch.localization.known_places import Place
 from magmatch.localization.localizer import ADVICE
 from magmatch.localization.track import Track
 from magmatch.progress import Progress, followed
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex
+from magmatch.registration.register import register
 from magmatch.registration.result import RegistrationResult
 
 
@@ -67,7 +67,7 @@ def localize(
     """
     expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
     if isinstance(place, Atlas) and config is None:
-        return register_to_atlas(place, target, seed=seed, progress=progress)
+        return register(place, target, seed=seed, progress=progress)
     expect_kind(target, "target", (Survey,), "a log is a Survey with times; read_survey reads one")
     assert isinstance(target, Survey)
     with followed(progress):

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import expect_kind, expect_transform
-from magmatch.atlas.atlas import Atlas
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
@@ -15,6 +14,7 @@ from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.samples import Samples
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Vector3

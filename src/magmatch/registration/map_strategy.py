@@ -2,11 +2,13 @@
 """The target as a map: poses are found by invariants, refined against both maps and weighed by independent cells."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.bases import Bases
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
@@ -16,7 +18,7 @@ from magmatch.registration.maps import as_map
 from magmatch.registration.prepared.prepared_map import PreparedMap, prepare
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
-from magmatch.registration.strategy import MapPair, Weighed, pair_maps
+from magmatch.registration.strategy import Among, MapPair, Weighed, pair_maps
 from magmatch.registration.weigh.bend import Bend, bend_of_map
 from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.rank import rank_poses
@@ -45,9 +47,14 @@ class MapStrategy:
         """The target's map."""
         return self.prepared.field_map
 
-    def pair(self, index: MapIndex, volume: float | None = None) -> MapPair:
+    def likely(self, bases: Bases) -> list[Any]:
+        """Those in which a few poses agree best."""
+        return bases.likely_for_map(self.prepared, self.seed)
+
+    def pair(self, index: MapIndex, among: Among | None = None) -> MapPair:
         """Two prepared maps."""
-        return pair_maps(index.base, self.prepared, self.config.prior, volume or index.volume)
+        among = among or Among.of(index)
+        return pair_maps(index.base, self.prepared, self.config.prior, among.volume)
 
     def search(self, pair: MapPair) -> SearchResult:
         """Poses under which local frames and invariants agree."""

@@ -9,13 +9,14 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import side_by_side
 
 
 def require_base(base: Any) -> None:
     """Raise an error unless this can be the base of a registration."""
-    expect_kind(base, "base", (Survey, FieldMap, MapIndex), ADVICE)
+    expect_kind(base, "base", (Survey, FieldMap, MapIndex, Atlas), ADVICE)
     if isinstance(base, Survey):
         require_survey(base)
 
@@ -45,8 +46,8 @@ def as_map(survey_or_map: Survey | FieldMap, config: FieldConfig) -> FieldMap:
 
 
 def map_base(
-    base: Survey | FieldMap | MapIndex, target: Survey | FieldMap, config: FieldConfig
-) -> tuple[FieldMap | MapIndex, Survey | FieldMap]:
+    base: Survey | FieldMap | MapIndex | Atlas, target: Survey | FieldMap, config: FieldConfig
+) -> tuple[FieldMap | MapIndex | Atlas, Survey | FieldMap]:
     """Map a base that is a survey, and the target in parallel: one alone would leave a core idle."""
     if not isinstance(base, Survey):
         return base, target

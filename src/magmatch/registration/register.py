@@ -1,36 +1,85 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`register`: two surveys (or maps) in, one transform or a refusal with a reason out."""
+"""`register`: two surveys (or maps, or many maps and a survey) in, one transform or a refusal with a reason out."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
 
 from magmatch.arguments import whole_number_of
 from magmatch.data.diagnoses import warn
+from magmatch.data.tables.text import is_folder
+from magmatch.errors import ConfigurationError
+from magmatch.field.map import FieldMap
+from magmatch.progress import Progress, followed
 from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
+from magmatch.registration.index.atlas import Atlas, open_atlas
+from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_base, require_target, survey_of
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate_sensors
-from magmatch.registration.steps import Base, Outcome, Target, register_once
+from magmatch.registration.steps import Base, Target, register_once
 from magmatch.threads import one_blas_thread
 
 
 def register(
-    base: Base, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+    base: Base | str | Path,
+    target: Target,
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> RegistrationResult:
-    """Find the transform between two surveys or maps, or say why there is none; folders: `magmatch.register`."""
-    return register_keeping_maps(base, target, config, seed=seed)[2]
+    """Find the rigid transform between two magnetic surveys of one place, or say why there is none.
+
+    Parameters
+    ----------
+    base : Survey, FieldMap, MapIndex, Atlas or path of a folder of saved maps
+        Defines the frame; a survey is mapped first. For many targets, pass the base as a `MapIndex`. With many maps,
+        the result's ``base`` names the one that contains the target, and its probability allows for all of them.
+    target : Survey or FieldMap
+        In its own frame.
+    config : RegistrationConfig, optional
+        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method. An `Atlas` has its own.
+    seed : int
+        Same input, configuration and seed give the same answer bit for bit.
+    progress : callable, optional
+        Called with the current step and the fraction done; see `magmatch.progress`.
+
+    Returns
+    -------
+    RegistrationResult
+        ``T_base_target`` is None unless accepted; ``reason`` says why.
+
+    Raises
+    ------
+    SurveyError
+        A survey holds NaN, impossible values or too few samples.
+    TypeError
+        Neither surveys nor maps; says how to convert what was given.
+    """
+    with followed(progress):
+        return register_keeping_maps(base, target, config, seed=seed)[2]
 
 
 def register_keeping_maps(
-    base: Base, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
-) -> Outcome:
-    """Register, and also return base and target as they were used: for pictures, or to keep what was prepared."""
-    require_base(base)
-    require_target(target)
-    config = settings_of(config)
+    base: Base | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+) -> tuple[FieldMap | MapIndex | None, Target, RegistrationResult]:
+    """Register, and also return base and target as they were used: for pictures, or to keep what was prepared.
+
+    There is no base where none of many maps holds a pose.
+    """
+    base, config = _opened(base, target, config)
     whole_number_of(seed, "seed")
+    # A folder of one map is that map; its name is that of the file.
+    only = base.entries[0] if isinstance(base, Atlas) and len(base.entries) == 1 else None
+    if only is not None and isinstance(base, Atlas):
+        base = base.load(only)
     clock, samples = Clock(), survey_of(target)
-    diagnoses = warn((survey_of(base), samples))
+    known = [samples] if isinstance(base, Atlas) else [survey_of(base), samples]
+    diagnoses = warn(known)
     with one_blas_thread():
         outcome = register_once(base, target, samples, config, seed, clock)
         # Vectors in a wrong frame are reported at once: no calibration corrects them.
@@ -41,5 +90,32 @@ def register_keeping_maps(
                 inputs, sides = calibrated
                 outcome = better_supported(outcome, attempted(register_once, *inputs, config, seed, clock), sides)
     base_used, used, answer = outcome
-    answer = with_advice(answer, {"base": survey_of(base), "target": samples}, config.prior)
-    return base_used, used, stamped(answer, (survey_of(base), samples), config, seed, clock)
+    has_pose = answer.best_pose is not None
+    if only is not None:
+        answer = replace(answer, base=only.name if has_pose else None)
+    elif isinstance(base, Atlas) and has_pose:
+        known = [survey_of(base_used), samples]
+    surveys = dict(zip(("base", "target")[-len(known) :], known, strict=True))
+    answer = with_advice(answer, surveys, config.prior)
+    is_found = has_pose or not (only or isinstance(base, Atlas))
+    return base_used if is_found else None, used, stamped(answer, known, config, seed, clock)
+
+
+def _opened(
+    base: Base | str | Path, target: Target, config: RegistrationConfig | None
+) -> tuple[Base, RegistrationConfig]:
+    """Check base and target, and open a folder of maps; many maps have settings of their own."""
+    if isinstance(base, str | os.PathLike) and is_folder(base):
+        require_target(target)
+        base, config = open_atlas(base, config), None
+    require_base(base)
+    require_target(target)
+    assert not isinstance(base, str | Path)  # other paths are refused
+    if not isinstance(base, Atlas):
+        return base, settings_of(config)
+    if config is not None and config != base.config:
+        msg = (
+            "config: expected that of the Atlas, or none, got another; open_atlas(folder, config) opens it with this"
+        )
+        raise ConfigurationError(msg)
+    return base, base.config

@@ -16,6 +16,7 @@ from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorModel
 from magmatch.preparation.sensor_trace import turns_with_sensor
 from magmatch.progress import tell
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.maps import map_of
 from magmatch.registration.result import Calibration, Sensor
 from magmatch.registration.steps import Base, Outcome, Target
@@ -94,16 +95,20 @@ def calibrate_sensors(
     registration takes, base, target and all its samples, and the sides that were calibrated.
     """
     prepared, target, _ = found
-    base_map = map_of(prepared)
-    asked = {"base": (base_map, base if isinstance(base, Survey) else base_map.survey)}
+    asked = dict[str, tuple[FieldMap, Survey]]()
+    # One of many maps was saved by somebody who could calibrate it; its rivals stay as they are.
+    if not isinstance(base, Atlas):
+        base_map = map_of(prepared)
+        asked["base"] = base_map, base if isinstance(base, Survey) else base_map.survey
     # A walk that was not mapped is too short for this test.
-    asked |= {"target": (target, samples)} if isinstance(target, FieldMap) else {}
+    if isinstance(target, FieldMap):
+        asked["target"] = target, samples
     calibrated = side_by_side(lambda side: calibrate(*asked[side]), asked)
     sides = {side: one for side, one in zip(asked, calibrated, strict=True) if one is not None}
     if not sides:
         return None
     # Its prepared map is used again.
-    again: Base = prepared
+    again: Base = base if isinstance(base, Atlas) else prepared
     if "base" in sides:
         again = sides["base"].survey
     if "target" in sides:

@@ -1,27 +1,32 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The algorithm: map, then for each strategy prepare, search, refine and weigh, settle, decide."""
+"""The algorithm: map; then for each strategy let maps vote, prepare, search, refine and weigh; settle, decide."""
 
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.progress import tell
+from magmatch.registration.bases import Bases, OneBase
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide
 from magmatch.registration.decide.posterior import posterior_over
 from magmatch.registration.find_drift import naming_drift
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
 from magmatch.registration.published.method import register_published
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.strategies import strategies
-from magmatch.registration.strategy import Weighed
+from magmatch.registration.strategy import Among, Strategy, Weighed
 
 Target = Survey | FieldMap
-Base = Target | MapIndex
-# The base and the target as they were used, and the answer.
+Base = Target | MapIndex | Atlas
+# The base that holds the answer and the target as they were used, and the answer.
 Outcome = tuple[FieldMap | MapIndex, Target, RegistrationResult]
 
 
@@ -32,28 +37,66 @@ def register_once(
     with clock("maps"):
         base, target = map_base(base, target, config.field)
     # The published method has its own steps.
-    if config.search == "keypoints":
+    if config.search == "keypoints" and not isinstance(base, Atlas):
         with clock("maps"):
             target_map = as_map(target, config.field)
         return base, target_map, register_published(map_of(base), target_map, config.keypoints, seed, clock)
     with clock("prepare"):
-        index = prepare_index(base, config)
-    tried = list[tuple[Target, RegistrationResult]]()
-    for strategy in strategies(index.length, target, samples, config, seed, clock):
-        with clock("prepare"):
-            pair = strategy.pair(index)
-        with clock("search"):
-            found = strategy.search(pair)
-        with clock("refine"):
-            weighed = strategy.refine_and_weigh(pair, found)
-        answer = settle_and_decide(weighed, config.decision, clock)
-        tried.append((strategy.target, answer))
+        bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base, config), config)
+    weighed, tried = dict[Any, Weighed[Any, Any, Any]](), list[tuple[Any, Target, RegistrationResult]]()
+    for strategy in strategies(bases.length, target, samples, config, seed, clock):
+        # Another strategy is another look at the map that was most probable.
+        likely = [tried[-1][0]] if tried else _likely(bases, strategy, clock)
+        for one in likely:
+            weighed[one] = weigh(bases, one, likely, strategy, clock)
+        best, answer = decide_among(bases, weighed, clock)
+        tried.append((best, strategy.target, answer))
         if answer.is_accepted:
             break
     # None accepted: the more probable refusal, or the first if both are equal.
-    used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
+    best, used, answer = max(tried, key=lambda found: (found[2].is_accepted, found[2].probability or 0))
+    index = bases.load(best)
     with clock("decide"):
         return index, used, naming_drift(answer, index, samples, config)
+
+
+def _likely(bases: Bases, strategy: Strategy[Any, Any, Any], clock: Clock) -> list[Any]:
+    with clock("votes"):
+        return strategy.likely(bases)
+
+
+def weigh(
+    bases: Bases, one: Any, likely: list[Any], strategy: Strategy[Any, Any, Any], clock: Clock
+) -> Weighed[Any, Any, Any]:
+    """Weigh poses of the target in one of the maps, with the search penalty for all of them."""
+    if len(likely) > 1:
+        tell(f"searching {bases.name_of(one)}", likely.index(one) / len(likely))
+    with clock("prepare"):
+        pair = strategy.pair(bases.load(one), Among(bases.volume, bases.length_of(likely)))
+    with clock("search"):
+        found = strategy.search(pair)
+    with clock("refine"):
+        return strategy.refine_and_weigh(pair, found)
+
+
+def decide_among(
+    bases: Bases, weighed: dict[Any, Weighed[Any, Any, Any]], clock: Clock
+) -> tuple[Any, RegistrationResult]:
+    """Decide on the best pose of all maps; a refusal shows the best pose in each other map, too."""
+    odds = {one: found.best_log_odds for one, found in weighed.items()}
+    best, *others = sorted(weighed, key=lambda one: -odds[one])
+
+    def answer_in(one: Any) -> RegistrationResult:
+        elsewhere = max((odds[other] for other in odds if other is not one), default=-np.inf)
+        return settle_and_decide(replace(weighed[one], elsewhere=elsewhere), bases.config.decision, clock)
+
+    answer = answer_in(best)
+    if answer.is_accepted:
+        return best, replace(answer, base=bases.name_of(best))
+    rest = [(bases.name_of(one), answer_in(one).alternatives[:1]) for one in others]
+    elsewhere = tuple(replace(alternative, base=name) for name, found in rest for alternative in found)
+    name = bases.name_of(best) if answer.alternatives else None
+    return best, replace(answer, base=name, alternatives=answer.alternatives + elsewhere)
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.bases import Bases
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.decide.support import Support
@@ -25,6 +26,19 @@ BaseSide = TypeVar("BaseSide")
 TargetSide = TypeVar("TargetSide")
 W = TypeVar("W", bound=Hypothesis)
 Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Among:
+    """What all maps that are searched for one target share."""
+
+    volume: float  # m^3: of all their regions
+    length: float  # m: correlation length by which a walk is binned, so that none is judged by more bins
+
+    @classmethod
+    def of(cls, index: MapIndex) -> "Among":
+        """One map alone."""
+        return cls(index.volume, index.length)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,8 +92,11 @@ class Strategy(Protocol[BaseSide, TargetSide, Pose_contra]):
     def target(self) -> Survey | FieldMap:
         """The target as it was used."""
 
-    def pair(self, base: MapIndex, volume: float | None = None) -> Pair[BaseSide, TargetSide]:
-        """Both sides prepared for comparison; ``volume`` (m^3) of all regions searched, this base's if None."""
+    def likely(self, bases: Bases) -> list[Any]:
+        """Which of some maps are searched in full, most likely first."""
+
+    def pair(self, base: MapIndex, among: Among | None = None) -> Pair[BaseSide, TargetSide]:
+        """Both sides prepared for comparison, with what all maps searched share; of this base alone if None."""
 
     def search(self, pair: Pair[BaseSide, TargetSide]) -> SearchResult:
         """Find candidate poses."""

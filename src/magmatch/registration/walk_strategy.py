@@ -9,6 +9,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.registration.bases import Bases
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
@@ -20,7 +21,7 @@ from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.strategy import Among, Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, inside_base, weigh_walk
 from magmatch.registration.weigh.settled import with_frame_error
@@ -40,15 +41,17 @@ class WalkStrategy:
     seed: int
     # The target as a map, made on first use.
     mapped: Callable[[], MapStrategy]
-    # Correlation length (m) to bin by, the base's by default.
-    length: float | None = None
 
-    def pair(self, index: MapIndex, volume: float | None = None) -> WalkPair:
+    def likely(self, bases: Bases) -> list[Any]:
+        """Those in which most pairs of points agree on one pose."""
+        return bases.likely_for_walk(self.samples, self.seed)
+
+    def pair(self, index: MapIndex, among: Among | None = None) -> WalkPair:
         """The base's pairs of points, and the walk in bins."""
-        walks = index.walks
-        walk = walk_of(self.samples, self.length or walks.length)
+        walks, among = index.walks, among or Among.of(index)
+        walk = walk_of(self.samples, among.length)
         frames = index.base.T_map_model, walk.T_survey_walk
-        prior = pose_prior(self.config.prior, *frames, volume or index.volume, height_range(index.base))
+        prior = pose_prior(self.config.prior, *frames, among.volume, height_range(index.base))
         prior = inside_base(prior, index.base, walk, walks.length, self.config.walks.evidence)
         return Pair(walks, walk, prior, walks.length, *frames)
 

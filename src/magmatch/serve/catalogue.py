@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from magmatch.atlas.atlas import maps_in
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import DataFormatError
+from magmatch.registration.index.atlas import maps_in
 from magmatch.serve.refusals import without_paths
 
 

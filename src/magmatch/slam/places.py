@@ -9,12 +9,12 @@ from functools import cache, partial
 import numpy as np
 from scipy.special import logit
 
-from magmatch.atlas.retrieval import count_votes, shortlist
 from magmatch.data.survey import Survey
 from magmatch.progress import counted
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, Stretch, most_likely
 from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.registration.search.pair_search import PairTable
+from magmatch.registration.search.retrieval import count_votes, shortlist
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.decide.shared_frame_odds import log_odds_shared
 from magmatch.slam.decide.tie import tie

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from magmatch.atlas.atlas import MAX_LOADED
 from magmatch.errors import MagmatchError
 from magmatch.geometry import path_walked
 from magmatch.localization.known_places import KnownPlaces, NotReadyError, open_place
+from magmatch.registration.index.atlas import MAX_LOADED
 from magmatch.serve.bodies import checkpoints
 from magmatch.serve.bodies.body import Body
 from magmatch.serve.config import ServeConfig

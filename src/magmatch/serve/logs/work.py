@@ -19,8 +19,6 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from magmatch.atlas.atlas import Atlas
-from magmatch.atlas.register import register
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
@@ -31,7 +29,9 @@ from magmatch.localization.known_places import Place, open_place
 from magmatch.localization.localize import localize
 from magmatch.localization.smooth import smooth as with_hindsight
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
+from magmatch.registration.register import register
 from magmatch.serve.catalogue import Listing
 from magmatch.serve.config import ServeConfig
 from magmatch.serve.logs.remarks import in_query_words, listening

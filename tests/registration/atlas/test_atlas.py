@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 import magmatch as mm
-from magmatch.atlas.atlas import is_atlas, open_atlas
-from magmatch.atlas.localize import localize, localize_keeping_map
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
+from magmatch.registration.index.atlas import is_atlas, open_atlas
 from magmatch.registration.index.map_index import index_path, open_index
-from magmatch.registration.register import register
+from magmatch.registration.register import register, register_keeping_maps
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
@@ -27,7 +26,7 @@ def atlas(rooms):
 def found_in_hall(atlas, walk_in):
     """A walk in the hall, and the answer for it."""
     target = walk_in("hall.map", np.random.default_rng(4))
-    return target, localize(atlas, target)
+    return target, register(atlas, target)
 
 
 def copy_map(source, goal):
@@ -41,7 +40,7 @@ def test_a_walk_is_found_in_its_own_room(atlas, walk_in, name):
     rng = np.random.default_rng(1)
     T = random_transform(rng)
     target = walk_in(name, rng).transformed(T.inv())
-    result = localize(atlas, target)
+    result = register(atlas, target)
     assert (result.base, result.is_accepted) == (name, True), result.reason
     distance, angle = transform_error(result.T_base_target, T, target.centroid)
     assert distance < 0.05
@@ -50,7 +49,7 @@ def test_a_walk_is_found_in_its_own_room(atlas, walk_in, name):
 
 def test_a_survey_of_a_room_is_found_in_its_own_map(atlas, rooms):
     pair, T_map_base, _ = rooms[1]["hall.map"]
-    result = localize(atlas, pair.target)
+    result = register(atlas, pair.target)
     assert (result.base, result.is_accepted) == ("hall.map", True), result.reason
     distance, angle = transform_error(result.T_base_target, T_map_base * pair.T_base_target, pair.target.centroid)
     assert distance < 0.02
@@ -61,12 +60,12 @@ def test_where_only_the_likeliest_map_is_asked_for_poses_it_is_the_right_one(
     atlas, rooms, found_in_hall, monkeypatch
 ):
     survey = rooms[1]["cellar.map"][0].target
-    asked_all = [found_in_hall, (survey, localize(atlas, survey))]
+    asked_all = [found_in_hall, (survey, register(atlas, survey))]
     # Then no other map is searched, and a walk is binned by that one's length.
     for name in ("MAX_ASKED", "MIN_SHORTLIST"):
-        monkeypatch.setattr(f"magmatch.atlas.retrieval.{name}", 1)
+        monkeypatch.setattr(f"magmatch.registration.search.retrieval.{name}", 1)
     for target, expected in asked_all:
-        found = localize(atlas, target)
+        found = register(atlas, target)
         assert (found.base, found.is_accepted) == (expected.base, True)
         np.testing.assert_allclose(
             found.T_base_target.as_matrix(), expected.T_base_target.as_matrix(), rtol=0, atol=1e-6
@@ -76,7 +75,7 @@ def test_where_only_the_likeliest_map_is_asked_for_poses_it_is_the_right_one(
 def test_without_its_own_room_a_walk_is_refused(atlas, walk_in, tmp_path):
     for name in ("attic.map", "hall.map"):
         copy_map(atlas.folder / name, tmp_path / name)
-    result = localize(open_atlas(tmp_path), walk_in("cellar.map", np.random.default_rng(2)))
+    result = register(open_atlas(tmp_path), walk_in("cellar.map", np.random.default_rng(2)))
     assert not result.is_accepted
     assert result.T_base_target is None
 
@@ -84,7 +83,7 @@ def test_without_its_own_room_a_walk_is_refused(atlas, walk_in, tmp_path):
 def test_two_maps_of_one_room_are_ambiguous_and_both_are_named(atlas, walk_in, tmp_path):
     for name in ("one.map", "two.map"):
         copy_map(atlas.folder / "attic.map", tmp_path / name)
-    result = localize(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(3)))
+    result = register(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(3)))
     assert result.status == "ambiguous"
     named = [a.base or result.base for a in result.alternatives]
     assert {"one.map", "two.map"} <= set(named)
@@ -92,7 +91,7 @@ def test_two_maps_of_one_room_are_ambiguous_and_both_are_named(atlas, walk_in, t
 
 def test_the_same_seed_gives_the_same_answer_and_a_kept_index_that_of_a_fresh_one(rooms, found_in_hall):
     target, one = found_in_hall
-    other = localize(open_atlas(rooms[0]), target)
+    other = register(open_atlas(rooms[0]), target)
     np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
     path = rooms[0] / "hall.map"
     kept = open_index(path, PRESETS["default"]).load(rooms[1]["hall.map"][2])
@@ -110,6 +109,22 @@ def test_the_main_verb_takes_a_folder_of_maps(atlas, rooms, found_in_hall):
         mm.register(atlas, target, PRESETS["paper"])
     with pytest.raises(TypeError, match="open_atlas"):
         mm.register(rooms[0] / "none", target)
+
+
+@pytest.mark.parametrize("kind", ["a walk", "a survey", "a walk elsewhere"])
+def test_a_folder_that_holds_one_map_answers_as_that_map_does(atlas, rooms, walk_in, tmp_path, kind):
+    copy_map(atlas.folder / "hall.map", tmp_path / "hall.map")
+    field_map = mm.FieldMap.load(tmp_path / "hall.map")
+    target = {
+        "a walk": lambda: walk_in("hall.map", np.random.default_rng(7)),
+        "a survey": lambda: rooms[1]["hall.map"][0].target,
+        "a walk elsewhere": lambda: walk_in("attic.map", np.random.default_rng(8)),
+    }[kind]()
+    alone, among = (register(base, target).to_dict() for base in (field_map, tmp_path))
+    assert (alone.pop("base"), among.pop("base")) == (None, "hall.map")
+    for one in (alone, among):
+        del one["seconds"]
+    assert among == alone
 
 
 def test_an_index_of_another_map_or_other_settings_is_stale(atlas, tmp_path):
@@ -130,7 +145,7 @@ def test_a_damaged_index_is_made_again(atlas, walk_in, tmp_path):
     content = bytearray(place.read_bytes())
     content[-2000] ^= 1
     place.write_bytes(content)
-    result = localize(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(5)))
+    result = register(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(5)))
     assert result.is_accepted, result.reason
     open_index(tmp_path / "attic.map", PRESETS["default"]).content.check()
 
@@ -156,7 +171,7 @@ def test_a_raw_log_is_found_once_its_sensor_is_calibrated(tmp_path):
         build_map(survey).save(tmp_path / f"{name}.map")
     rng = np.random.default_rng(41)
     raw = corrupt(pair.target, draw_corruption(rng), rng)[0]
-    used, result = localize_keeping_map(open_atlas(tmp_path), raw)
+    _, used, result = register_keeping_maps(open_atlas(tmp_path), raw)
     assert result.is_accepted
     assert result.base == "here.map"
     assert transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)[0] < 8e-3

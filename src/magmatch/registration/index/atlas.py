@@ -6,16 +6,21 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from magmatch.arguments import expect_path
 from magmatch.brief import brief
 from magmatch.data.formats.sniff import sniff
+from magmatch.data.survey import Survey
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, index_key, make_index, open_index
+from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.search.pair_search import PairTable
+from magmatch.registration.search.retrieval import count_agreement, count_votes, shortlist
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
@@ -61,6 +66,31 @@ class Atlas:
     def volume(self) -> float:
         """Volume of all regions together, m^3."""
         return sum(entry.index.volume for entry in self.entries)
+
+    @property
+    def length(self) -> float:
+        """Median of the maps' correlation lengths, m."""
+        return self.length_of(list(self.entries))
+
+    def length_of(self, likely: list[AtlasEntry]) -> float:
+        """Median of some maps' correlation lengths, m."""
+        return float(np.median([entry.table.length for entry in likely]))
+
+    def name_of(self, entry: AtlasEntry) -> str:
+        """Name of a map's file."""
+        return entry.name
+
+    def likely_for_walk(self, target: Survey, seed: int) -> list[AtlasEntry]:
+        """Maps in which most of a walk's pairs of points agree on one pose."""
+        tell(f"asking {len(self.entries)} maps")
+        votes = count_votes([entry.table for entry in self.entries], target, self.config.walks.search, seed)
+        return [self.entries[k] for k in shortlist(votes)]
+
+    def likely_for_map(self, target: PreparedMap, seed: int) -> list[AtlasEntry]:
+        """Maps in which the best of a few poses of a target agrees best."""
+        tell(f"asking {len(self.entries)} maps")
+        votes = count_agreement((self.load(entry).base for entry in self.entries), target, seed)
+        return [self.entries[k] for k in shortlist(votes)]
 
     def load(self, entry: AtlasEntry) -> MapIndex:
         """Give a map with its index, from memory if it is there.
