@@ -13,9 +13,10 @@ WORKERS ?= 2
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml evaluation/pyproject.toml
+$(STAMP): pyproject.toml packages/magmatch-serve/pyproject.toml evaluation/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]" -e ./evaluation
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]" \
+	  -e "./packages/magmatch-serve[foxglove]" -e ./evaluation
 	touch $@ $(DEMO_STAMP)
 
 $(DEMO_STAMP): pyproject.toml
@@ -27,7 +28,7 @@ demo: $(DEMO_STAMP)
 	$(BIN)/magmatch demo --out demo-output
 
 test: setup
-	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS) tests
+	$(TEST_ENV) $(BIN)/python -m pytest -n $(WORKERS)
 
 # At least this many mutated files for each reader; the suite tries a few of them.
 FUZZ ?= 10000
@@ -41,7 +42,8 @@ KILLS ?= 600
 CORRUPTIONS ?= 5000
 
 harden: setup
-	$(TEST_ENV) $(BIN)/python -m pytest -s --kills $(KILLS) --corruptions $(CORRUPTIONS) tests/hardening
+	$(TEST_ENV) $(BIN)/python -m pytest -s --kills $(KILLS) --corruptions $(CORRUPTIONS) tests/hardening \
+	  packages/magmatch-serve/tests/test_checkpoints.py
 
 check: setup
 	$(BIN)/ruff format --check .
@@ -63,7 +65,8 @@ bench: setup
 	OPENBLAS_NUM_THREADS=1 $(BIN)/magmatch evaluate --jobs $(WORKERS) --out evaluation-output
 
 docs: setup
-	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch evaluation/src
+	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch \
+	  packages/magmatch-serve/src evaluation/src
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --clean
 
 # Runs every command of the tutorial and writes what it prints into the page.

@@ -30,7 +30,7 @@ VERBS = (
 # What registration/search holds, by the names that its files had before that folder was made.
 STEPS = ("annealing", "candidate", "invariant_search", "neighbours", "pair_search", "scoring")
 # Where packages lie.
-PACKAGES = ("src", "evaluation")
+PACKAGES = ("src", "packages", "evaluation")
 # Assigned, but chosen by nobody: an axis, quantiles of distributions (their probabilities are counted where chosen).
 NOT_CHOSEN = {"UP", "MEDIAN_CHI2_3", "MEDIAN_CHI2_5", "FAR2"}
 # Inside functions, these are of mathematics: halves, doubles, squares, dimensions.
@@ -65,6 +65,8 @@ def count_lines(path: Path) -> Counter[str]:
 
 def room_of(path: Path) -> str:
     """Folder under which the lines of a file are added up: a room of the package, or a folder at the top."""
+    if "tests" in path.parts:
+        return "tests"
     depth = 3 if path.parts[0] == "src" and len(path.parts) > 3 else 2 if path.parts[0] == "src" else 1
     return "/".join(path.parts[:depth])
 
@@ -90,7 +92,7 @@ def verb_pages(root: Path) -> dict[str, int]:
 def largest_folders(root: Path) -> list[tuple[str, int]]:
     """Folders with the most files of their own, ``__init__`` not counted."""
     counts = Counter(
-        path.parent.as_posix() for path in files_of(root) if path.parts[0] != "tests" and path.name != "__init__.py"
+        path.parent.as_posix() for path in files_of(root) if "tests" not in path.parts and path.name != "__init__.py"
     )
     return counts.most_common(6)
 

@@ -20,7 +20,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"
 # A file or a folder of the package as pages name it, from its room on; pages of the theory leave out the folders
 # that their line "Code:" names.
 SOURCE = re.compile(r"`((?:[a-z_0-9]+/)*[a-z_0-9]+(?:/|\.py))`")
-PACKAGES = [ROOT / "src" / "magmatch", ROOT]
+PACKAGES = [ROOT / "src" / "magmatch", ROOT, ROOT / "packages" / "magmatch-serve" / "src"]
 COMMANDS = typer.main.get_command(build_app())
 
 
@@ -91,7 +91,7 @@ def test_files_that_a_page_names_exist(page):
     code = re.search(r"^Code: (.*?)(?:\n\n|\. )", text, re.DOTALL | re.MULTILINE)
     own = [PACKAGES[0] / name for name in SOURCE.findall(code[1])] if code else []
     folders = [*PACKAGES, *(path if path.is_dir() else path.parent for path in own)]
-    folders += [folder.parent for folder in folders[2:]]
+    folders += [folder.parent for folder in folders[len(PACKAGES) :]]
     for name in SOURCE.findall(text):
         assert any((folder / name).exists() for folder in folders), name
 

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-# ros2_node.py needs ROS; tests/serve/test_ros2_node.py runs what of it does not.
+# ros2_node.py needs ROS; tests/localization/test_ros2_node.py runs what of it does not.
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda path: path.stem)
 def test_an_example_runs_and_says_something(example, capsys, monkeypatch):
     monkeypatch.setattr("sys.argv", [str(example)])

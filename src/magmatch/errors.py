@@ -63,16 +63,18 @@ class TaskError(MagmatchError, RuntimeError):
 class MissingExtraError(MagmatchError, ImportError):
     """An optional dependency is not installed; names the extra that brings it."""
 
-    def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs the extra '{extra}': pip install '.[{extra}]' (in a checkout of magmatch)")
+    def __init__(self, feature: str, extra: str, package: str = ".") -> None:
+        # `package` is the folder of the distribution, from the root of a checkout, whose extra it is.
+        install = f"pip install '{package}[{extra}]'"
+        super().__init__(f"{feature} needs the extra '{extra}': {install} (in a checkout of magmatch)")
 
 
-def import_extra(module: str, feature: str, extra: str) -> ModuleType:
-    """An optional module; where it is not installed, the error names the feature that needs it and the extra."""
+def import_extra(module: str, feature: str, extra: str, package: str = ".") -> ModuleType:
+    """Import an optional module; where it is not installed, the error names its feature, and how to install it."""
     try:
         return import_module(module)
     except ImportError:
-        raise MissingExtraError(feature, extra) from None
+        raise MissingExtraError(feature, extra, package) from None
 
 
 def first_fault(error: "ValidationError") -> tuple[str, str]:

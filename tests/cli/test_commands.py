@@ -288,14 +288,6 @@ def test_evaluate_lists_what_there_is(run):
     assert all(name in outcome.out for name in ("office-z30", "corridor", "default", "paper"))
 
 
-def test_evaluate_says_what_to_install(run, monkeypatch):
-    monkeypatch.setitem(sys.modules, "magmatch_evaluation", None)
-    outcome = run("evaluate", "office", "--quick", "--jobs", "2")
-    assert outcome.code == 2
-    assert outcome.err.count("\n") == 1
-    assert "pip install ./evaluation" in outcome.err
-
-
 @pytest.mark.slow
 def test_the_quick_evaluation_runs_whole_and_goes_on_where_it_stood(run, tmp_path):
     for module in ("magpylib", "plotly"):

@@ -10,6 +10,7 @@ import typer
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch.data.read
+from magmatch.cli.added import ELSEWHERE
 from magmatch.cli.main import build_app
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
@@ -30,7 +31,7 @@ ODD = [
 # What each command is called with where it reads A, or A and B; "{out}" is a new name.
 ONE = {
     "info": ["A"], "convert": ["A", "{out}.csv"], "prepare": ["A", "--out", "{out}.csv"],
-    "replay": ["A", "--url", "http://127.0.0.1:1"], "transform": ["A", "--by", "result", "--out", "{out}.csv"],
+    "transform": ["A", "--by", "result", "--out", "{out}.csv"],
     "localize": ["some.map", "A", "--out", "{out}.tum"], "slam": ["A", "--out", "{out}"],
     "map": ["A", "--out", "{out}.map"], "view": ["A", "--out", "{out}.html"],
 }  # fmt: skip
@@ -84,7 +85,7 @@ def read(run, files, monkeypatch):
 
 
 def require(command):
-    pytest.importorskip({"replay": "websockets", "view": "plotly"}.get(command, "numpy"))
+    pytest.importorskip({"view": "plotly"}.get(command, "numpy"))
 
 
 def is_carried(survey, mount=MOUNT):
@@ -95,11 +96,11 @@ def is_carried(survey, mount=MOUNT):
 
 
 def commands():
-    """Every command that has options for reading, with those options by name."""
+    """Every command of the package that has options for reading, with those options by name."""
     group = typer.main.get_command(build_app())
     for name, command in group.commands.items():
         options = {p.opts[0]: p for p in command.params if p.opts[0].startswith("--")}
-        if "--field-unit" in options:
+        if "--field-unit" in options and name not in ELSEWHERE:
             yield name, options
 
 

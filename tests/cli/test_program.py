@@ -12,8 +12,8 @@ from magmatch import __version__
 from magmatch.cli import boundary, main
 
 COMMANDS = (
-    "register", "transform", "slam", "merge", "localize", "serve", "replay", "odometry", "prepare", "map",
-    "index", "query", "info", "view", "convert", "simulate", "datasets", "demo", "glossary", "evaluate",
+    "register", "transform", "slam", "merge", "localize", "odometry", "prepare", "map", "index", "query", "info",
+    "view", "convert", "simulate", "datasets", "demo", "glossary",
 )  # fmt: skip
 
 
@@ -165,5 +165,6 @@ def test_progress_comes_and_goes_on_a_terminal(place, run, tmp_path, monkeypatch
 
 def test_every_command_stands_in_its_own_file():
     folder = Path(main.__file__).parent
-    assert [command.name for command in main.build_app().registered_commands] == list(COMMANDS)
+    names = [command.name for command in main.build_app().registered_commands]
+    assert names[: len(COMMANDS)] == list(COMMANDS)  # those of other distributions follow
     assert all((folder / f"{name}.py").is_file() for name in COMMANDS)

@@ -12,8 +12,8 @@ import pytest
 SCRIPT = Path(__file__).with_name("writers.py")
 NAMES = [
     "survey .csv", "survey .parquet", "survey .mcap", "survey .tum", "survey .ply", "survey .vtk", "trajectory",
-    "query", "map", "map grid .vtk", "map grid .ply", "map grid .nc", "map index", "client's state",
-    "live checkpoint", "result", "result .tum", "result .g2o", "result .yaml", "preparation report", "report page",
+    "query", "map", "map grid .vtk", "map grid .ply", "map grid .nc", "map index", "live checkpoint",
+    "result", "result .tum", "result .g2o", "result .yaml", "preparation report", "report page",
     "view page",
 ]  # fmt: skip
 

@@ -34,7 +34,6 @@ from magmatch.preparation.sensor_model import SensorModel
 from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
-from magmatch.serve.bodies import checkpoints
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,6 @@ def catalogue() -> dict[str, Writer]:
         "map index": Writer(
             lambda k, path: write_mapped(path, "test/1", {}, {"x": surveys[k].positions}), "room.index"
         ),
-        "client's state": Writer(lambda k, path: checkpoints.save(path, bytes([k]) * 200_000), "0a.state"),
         "live checkpoint": Writer(lambda k, path: lives[k].save(path), "live.map"),
         "result": Writer(lambda k, path: results[k].save(path), "result.json"),
         "result .tum": Writer(lambda k, path: write_relative_tum(results[k], path), "result.tum"),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import check_folder
 
@@ -31,6 +32,7 @@ TELL_SECONDS = 30.0
 PLACES = ("--out", "--from", "--scheduler", "--minutes")
 
 
+@command("evaluate", EXAMPLES)
 def evaluate(
     names: Annotated[
         list[str] | None,

@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 from magmatch._version import __version__
+from magmatch.cli.added import add_others
 from magmatch.cli.boundary import guarded
 from magmatch.cli.command import Debug, Verbose
 from magmatch.cli.convert import convert
 from magmatch.cli.datasets import datasets
 from magmatch.cli.demo import demo
-from magmatch.cli.evaluate import evaluate
 from magmatch.cli.glossary import glossary
 from magmatch.cli.index import index
 from magmatch.cli.info import info
@@ -25,8 +25,6 @@ from magmatch.cli.odometry import odometry
 from magmatch.cli.prepare import prepare
 from magmatch.cli.query import query
 from magmatch.cli.register import register
-from magmatch.cli.replay import replay
-from magmatch.cli.serve import serve
 from magmatch.cli.simulate import simulate
 from magmatch.cli.slam import slam
 from magmatch.cli.transform import transform
@@ -46,15 +44,13 @@ Exit codes:
   3  register: not accepted; slam, merge: not everything is in one frame; localize: never localized
 """
 
-# In the order of the help page.
+# In the order of the help page, where those of other distributions follow.
 COMMANDS = (
     register,
     transform,
     slam,
     merge,
     localize,
-    serve,
-    replay,
     odometry,
     prepare,
     build,
@@ -67,7 +63,6 @@ COMMANDS = (
     datasets,
     demo,
     glossary,
-    evaluate,
 )
 
 
@@ -79,6 +74,7 @@ def build_app() -> typer.Typer:
     app.callback()(_program)
     for add_to in COMMANDS:
         add_to(app)
+    add_others(app)
     return app
 
 

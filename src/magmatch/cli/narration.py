@@ -16,7 +16,7 @@ from magmatch.progress import followed
 if TYPE_CHECKING:
     from rich.status import Status
 
-# Loggers of the readers, and of the service, which runs until it is stopped.
+# Loggers of the readers, and of the service (a distribution of its own), which runs until it is stopped.
 READING, SERVING = "magmatch.data", "magmatch.serve"
 FIGURES = re.compile(r"[-+.,\d]*\d")
 

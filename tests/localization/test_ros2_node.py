@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The example's pure part, on messages as rosbags makes them; rclpy itself is not needed."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+pytest.importorskip("rosbags")
+
+from drifting import Place, drifting_walk
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "ros2_node.py"
+
+
+@pytest.fixture(scope="module")
+def node():
+    spec = importlib.util.spec_from_file_location("ros2_node", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def kinds():
+    """Message classes by their names."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return {name.rsplit("/", 1)[1]: kind for name, kind in get_typestore(Stores.ROS2_HUMBLE).types.items()}
+
+
+def header(kinds, t, frame):
+    stamp = kinds["Time"](sec=int(t), nanosec=round(1e9 * (t - int(t))))
+    return kinds["Header"](stamp=stamp, frame_id=frame)
+
+
+def odometry(kinds, t, T):
+    p, q = T.translation, T.rotation.as_quat()
+    place, turn = kinds["Point"](x=p[0], y=p[1], z=p[2]), kinds["Quaternion"](x=q[0], y=q[1], z=q[2], w=q[3])
+    pose = kinds["PoseWithCovariance"](pose=kinds["Pose"](position=place, orientation=turn), covariance=np.zeros(36))
+    return kinds["Odometry"](header=header(kinds, t, "odom"), child_frame_id="base", pose=pose, twist=None)
+
+
+def reading(kinds, t, b):
+    vector = kinds["Vector3"](x=b[0], y=b[1], z=b[2])
+    return kinds["MagneticField"](
+        header=header(kinds, t, "base"), magnetic_field=vector, magnetic_field_covariance=np.zeros(9)
+    )
+
+
+@pytest.fixture(scope="module")
+def walked(node, kinds, place):
+    """Answers along a walk whose readings come between poses, with what was true then."""
+    log, truth = drifting_walk(Place(1), 2, laps=0.7, start=2.0, bias=(2e-6, -1e-6, 1e-6))
+    follower = node.Follower(place.field_map, kinds)
+    field, found = log.orientations.inv().apply(log.field), []
+    for n in range(len(log)):
+        follower.fields.append(reading(kinds, log.times[n], field[n]))
+        T = RigidTransform.from_components(log.positions[n], log.orientations[n])
+        # The pose at a reading's time is between those of two messages.
+        found.append((n, T, follower.take_odometry(odometry(kinds, log.times[n] + 1e-4, T))))
+    return found, truth, follower
+
+
+def test_the_example_is_short():
+    assert len(EXAMPLE.read_text().splitlines()) <= 80
+
+
+def test_poses_are_where_the_body_was(walked):
+    found, truth, _ = walked
+    off = [
+        np.linalg.norm([made[0].pose.pose.position.x - truth[n, 0], made[0].pose.pose.position.y - truth[n, 1]])
+        for n, _, made in found
+        if made is not None
+    ]
+    assert len(off) > 0.6 * len(found)
+    assert np.median(off) < 0.15
+
+
+def test_the_transform_takes_odometry_to_the_pose(walked):
+    for _, T_odom_body, made in walked[0]:
+        if made is None:
+            continue
+        pose, frame = made
+        assert (frame.header.frame_id, frame.child_frame_id, pose.header.frame_id) == ("map", "odom", "map")
+        assert frame.header.stamp == pose.header.stamp
+        t, q = frame.transform.translation, frame.transform.rotation
+        T_map_odom = RigidTransform.from_components([t.x, t.y, t.z], Rotation.from_quat([q.x, q.y, q.z, q.w]))
+        at = (T_map_odom * T_odom_body).translation
+        p = pose.pose.pose.position
+        # The message's pose is of the reading, a tenth of a millisecond before.
+        np.testing.assert_allclose(at, [p.x, p.y, p.z], atol=5e-3)
+
+
+def test_the_covariance_is_ros_s(walked):
+    now = walked[2].localizer.estimate()
+    found = np.reshape(walked[0][-1][2][0].pose.covariance, (6, 6))
+    R = now.T_map_body.rotation.as_matrix()
+    np.testing.assert_allclose(found, found.T)
+    np.testing.assert_allclose(found[:3, :3], R @ now.covariance[3:, 3:] @ R.T)
+    np.testing.assert_allclose(found[3:, 3:], R @ now.covariance[:3, :3] @ R.T)
+
+
+def test_a_bad_reading_is_passed_over(node, kinds, place):
+    follower = node.Follower(place.field_map, kinds)
+    T = RigidTransform.identity()
+    for t, b in ((0.0, [2e-5, 0, 4e-5]), (0.1, [np.nan, 0, 0]), (0.05, [2e-5, 0, 4e-5])):
+        follower.fields.append(reading(kinds, t, b))
+        assert follower.take_odometry(odometry(kinds, t + 0.01, T)) is None
