@@ -4,8 +4,7 @@
 import numpy as np
 
 from magmatch.features.config import FeatureConfig
-from magmatch.features.grids import InferencePoints
-from magmatch.field.map import FieldMap
+from magmatch.features.infer import Inferred
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.typing import Indices, Scalars, Tensors
@@ -41,29 +40,48 @@ def curvature_response(values: FieldValues) -> Scalars:
     return doh
 
 
-def find_keypoints(field_map: FieldMap, points: InferencePoints, response: Scalars, config: FeatureConfig) -> Indices:
-    """Points of X* with more than the mean response whose field is known well."""
+def detect(inferred: Inferred, config: FeatureConfig | None = None) -> Indices:
+    """Find keypoints: points of X* with more than the mean response whose field is known well.
+
+    Parameters
+    ----------
+    inferred : Inferred
+        The field at X*.
+    config : FeatureConfig, optional
+        Which share of the points above the mean response is kept, those of least variance.
+
+    Returns
+    -------
+    (k,) array of ints
+        Rows of X*, ascending; empty where nothing stands out.
+    """
+    config = config or FeatureConfig()
+    response = curvature_response(inferred.values)
     if not np.isfinite(response).any():
         return np.zeros(0, dtype=np.int64)
-    rows = np.flatnonzero(response > np.nanmean(response)).astype(np.int64)
+    # Minima and half of the saddles have a positive determinant; a mean below 0 would let the others in.
+    rows = np.flatnonzero(response > max(float(np.nanmean(response)), 0.0)).astype(np.int64)
     if not len(rows):
         return rows
-    variance = block_variance(field_map, points, rows)
+    variance = block_variance(inferred, rows) if config.max_variance is None else inferred.variance(rows)
     # A hair of slack, so that equal variances do not part by rounding.
-    limit = np.quantile(variance, config.variance_quantile) * (1 + 1e-9)
+    limit = config.max_variance or np.quantile(variance, config.variance_quantile) * (1 + 1e-9)
     kept: Indices = rows[variance <= limit]
     return kept
 
 
-def block_variance(field_map: FieldMap, points: InferencePoints, rows: Indices) -> Scalars:
+def block_variance(inferred: Inferred, rows: Indices) -> Scalars:
     """Mean posterior variance of the components of the field around chosen points, T^2.
 
     Asked once for each block of 2 x 2 x 2 grid points, at its centre: variance changes slowly, and a dense posterior
     spends more on it than on all the rest.
     """
-    ijk = np.stack(np.unravel_index(points.cells[rows], points.grid.shape), axis=1)
+    grid = inferred.grid
+    ijk = np.stack(np.unravel_index(inferred.cells[rows], grid.shape), axis=1)
     blocks, block_of_row = np.unique(ijk // 2, axis=0, return_inverse=True)
-    centers = transform_points((2 * blocks + 0.5) * points.grid.spacing, points.grid.T_map_grid)
-    variance = np.trace(field_map.covariance(centers), axis1=1, axis2=2) / 3
+    # Centres of blocks that the grid's edge cuts would lie beyond it.
+    local = np.minimum(2 * blocks + 0.5, np.array(grid.shape) - 1.0) * grid.spacing
+    covariance = inferred.field_map.covariance(transform_points(local, grid.T_map_grid))
+    variance = np.trace(covariance, axis1=1, axis2=2) / 3
     of_rows: Scalars = variance[block_of_row.reshape(-1)]
     return of_rows

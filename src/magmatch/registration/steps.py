@@ -6,6 +6,7 @@ from typing import Any
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.published.register import register as register_published
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
@@ -14,7 +15,7 @@ from magmatch.registration.decide.posterior import posterior_over
 from magmatch.registration.find_drift import naming_drift
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
-from magmatch.registration.published.method import register_published
+from magmatch.registration.published_answer import answer_of
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.strategies import strategies
 from magmatch.registration.strategy import Weighed
@@ -35,7 +36,9 @@ def register_once(
     if config.search == "keypoints":
         with clock("maps"):
             target_map = as_map(target, config.field)
-        return base, target_map, register_published(map_of(base), target_map, config.keypoints, seed, clock)
+        with clock("search"):
+            published = register_published(map_of(base), target_map, config=config.keypoints, seed=seed)
+        return base, target_map, answer_of(published)
     with clock("prepare"):
         index = prepare_index(base, config)
     tried = list[tuple[Target, RegistrationResult]]()

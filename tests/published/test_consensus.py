@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
-from magmatch.registration.published.consensus import ConsensusConfig, vector_msac
+from magmatch.published.consensus import ConsensusConfig, vector_msac
 
 CONFIG = ConsensusConfig()
 DISTANCE = 0.2  # m

@@ -4,9 +4,9 @@
 from pydantic import Field
 
 from magmatch.features.config import FeatureConfig
-from magmatch.registration.published.consensus import ConsensusConfig
-from magmatch.registration.published.fitness_decision import FitnessConfig
-from magmatch.registration.published.matching import MatchingConfig
+from magmatch.published.consensus import ConsensusConfig
+from magmatch.published.fitness import FitnessConfig
+from magmatch.published.matching import MatchingConfig
 from magmatch.settings import Settings
 
 
