@@ -16,9 +16,10 @@ from magmatch.published.config import PublishedConfig
 from magmatch.published.consensus import Consensus, consensus
 from magmatch.published.fitness import Fitness, fitness
 from magmatch.published.matching import Matches, match
-from magmatch.published.register import Descriptor, Detector, Matcher, Published, register
+from magmatch.published.register import FIELD, Descriptor, Detector, Matcher, Published, register
 
 __all__ = [
+    "FIELD",
     "Consensus",
     "Descriptor",
     "Detector",
