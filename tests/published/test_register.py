@@ -13,6 +13,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.published import Matches, PublishedConfig, fitness, register
 from magmatch.published.register import comparable
+from magmatch.registration.config import PRESETS
 
 CONFIG = PublishedConfig()
 T_BASE_TARGET = random_transform(np.random.default_rng(11))
@@ -66,6 +67,15 @@ def test_the_published_method_finds_a_random_transform(base_map, target_map):
     p_target = found.target.positions[found.matches.target_rows[found.inliers]]
     assert np.all(np.linalg.norm(found.T_base_target.apply(p_target) - p_base, axis=1) < 0.3)
     assert len(repr(found).splitlines()) <= 3
+
+
+def test_to_the_letter_the_method_finds_it_too(base_map, target_map):
+    found = register(base_map, target_map, config=PRESETS["paper-literal"].keypoints)
+    assert found.is_accepted
+    distance, angle = transform_error(found.T_base_target, T_BASE_TARGET, target_map.survey.centroid)
+    assert distance < 0.06
+    assert np.degrees(angle) < 3
+    assert found.config.features.component_range == 0.01
 
 
 def test_different_rooms_share_little(base_map):

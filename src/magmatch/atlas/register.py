@@ -36,7 +36,8 @@ def register(
     target : Survey or FieldMap
         In its own frame.
     config : RegistrationConfig, optional
-        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method. An `Atlas` has its own.
+        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method, ``"paper-literal"`` the same to
+        the letter. An `Atlas` has its own.
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
     progress : callable, optional

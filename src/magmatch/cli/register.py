@@ -48,7 +48,10 @@ def register(
     out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
     report: Annotated[Path | None, typer.Option(help="Write an HTML report here.")] = None,
     preset: Annotated[
-        str, typer.Option(help="Settings to start from: default, or paper (as published).")
+        str,
+        typer.Option(
+            help="Settings to start from: default, paper (as published) or paper-literal (to the letter; slow)."
+        ),
     ] = "default",
     sensor: Annotated[
         str, typer.Option(help="Differences between the magnetometers to estimate: auto|none|bias|scale|full.")

@@ -16,6 +16,7 @@ from magmatch.published.config import PublishedConfig
 from magmatch.published.consensus import Consensus, consensus
 from magmatch.published.fitness import Fitness, fitness
 from magmatch.published.matching import Matches, match
+from magmatch.published.recursion import RecursiveField, recursively
 from magmatch.published.register import FIELD, Descriptor, Detector, Matcher, Published, register
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Matches",
     "Published",
     "PublishedConfig",
+    "RecursiveField",
     "consensus",
     "describe",
     "detect",
@@ -38,5 +40,6 @@ __all__ = [
     "infer",
     "local_frames",
     "match",
+    "recursively",
     "register",
 ]

@@ -26,6 +26,7 @@ from magmatch.published.config import PublishedConfig
 from magmatch.published.consensus import Consensus, consensus
 from magmatch.published.fitness import Fitness, fitness
 from magmatch.published.matching import Matches, match
+from magmatch.published.recursion import recursively
 from magmatch.threads import side_by_side
 from magmatch.typing import Indices, Mask, Matrix
 
@@ -144,8 +145,11 @@ def register(
     for name, side in (("base", base), ("target", target)):
         expect_kind(side, name, (Survey, FieldMap), ADVICE)
     whole_number_of(seed, "seed")
+    config = config or PublishedConfig()
     base_map, target_map = side_by_side(_as_map, (base, target))
-    config = comparable(base_map, target_map, config or PublishedConfig())
+    if config.is_recursive:
+        base_map, target_map = side_by_side(recursively, (base_map, target_map))
+    config = comparable(base_map, target_map, config)
     detector = detector or partial(detect, config=config.features)
     descriptor = descriptor or partial(describe, half_range=config.features.component_range)
     matcher = matcher or partial(match, config=config.matching)

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from magmatch.arguments import expect_kind
 from magmatch.field.config import FieldConfig
-from magmatch.published.config import PublishedConfig
+from magmatch.published.config import LITERAL, PublishedConfig
 from magmatch.published.register import FIELD
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
@@ -57,6 +57,8 @@ PRESETS: dict[str, RegistrationConfig] = {
         search="keypoints",
         calibrate=False,
     ),
+    # The same to the letter, printed slips apart; slow.
+    "paper-literal": RegistrationConfig(field=FIELD, search="keypoints", calibrate=False, keypoints=LITERAL),
 }
 
 
