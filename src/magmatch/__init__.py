@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from magmatch.preparation.prepare import prepare
     from magmatch.registration.config import PRESETS, RegistrationConfig
     from magmatch.registration.index.map_index import MapIndex
+    from magmatch.registration.register import judge
     from magmatch.registration.result import RegistrationResult, Status
     from magmatch.simulation.simulate import simulate
     from magmatch.slam.config import SlamConfig
@@ -82,6 +83,7 @@ _HOMES = {
     "Trajectory": "data.trajectory",
     "build_map": "field.build",
     "extract_features": "features.extract",
+    "judge": "registration.register",
     "localize": "localization.localize",
     "merge": "slam.merge",
     "open_atlas": "atlas.atlas",
@@ -125,6 +127,7 @@ __all__ = [
     "Trajectory",
     "build_map",
     "extract_features",
+    "judge",
     "localize",
     "merge",
     "open_atlas",

@@ -2,7 +2,10 @@
 """`register` for any base: a survey, a map, or a folder of maps."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
+
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.atlas.atlas import Atlas, open_atlas
 from magmatch.atlas.localize import localize_keeping_map
@@ -13,8 +16,9 @@ from magmatch.progress import Progress, followed
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_target
-from magmatch.registration.register import register_keeping_maps
+from magmatch.registration.register import given_poses, register_keeping_maps
 from magmatch.registration.result import RegistrationResult
+from magmatch.registration.search.candidate import NONE_GIVEN, Given
 from magmatch.registration.steps import Base, Target
 
 
@@ -23,6 +27,7 @@ def register(
     target: Target,
     config: RegistrationConfig | None = None,
     *,
+    candidates: Sequence[RigidTransform] = (),
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RegistrationResult:
@@ -38,6 +43,8 @@ def register(
     config : RegistrationConfig, optional
         Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method, ``"paper-literal"`` the same to
         the letter. An `Atlas` has its own.
+    candidates : list of RigidTransform
+        ``T_base_target`` from elsewhere, weighed beside those that the search finds. Alone: `judge`.
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
     progress : callable, optional
@@ -56,18 +63,26 @@ def register(
         Neither surveys nor maps; says how to convert what was given.
     """
     with followed(progress):
-        return register_anywhere(base, target, config, seed=seed)[2]
+        return register_anywhere(base, target, config, seed=seed, given=given_poses(candidates))[2]
 
 
 def register_anywhere(
-    base: Base | Atlas | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+    base: Base | Atlas | str | Path,
+    target: Target,
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    given: Given = NONE_GIVEN,
 ) -> tuple[FieldMap | MapIndex | None, Target, RegistrationResult]:
     """Register, and also return the base (None if none of many fits) and the target as they were used."""
     if isinstance(base, str | os.PathLike) and is_folder(base):
         require_target(target)
         base, config = open_atlas(base, config), None
     if not isinstance(base, Atlas):
-        return register_keeping_maps(base, target, config, seed=seed)  # type: ignore[arg-type]  # refuses other paths
+        return register_keeping_maps(base, target, config, seed=seed, given=given)  # type: ignore[arg-type]  # refuses other paths
+    if given.poses:
+        msg = "candidates: poses in which of many maps? give one map as the base"
+        raise ConfigurationError(msg)
     if config is not None and config != base.config:
         msg = (
             "config: expected that of the Atlas, or none, got another; open_atlas(folder, config) opens it with this"

@@ -17,8 +17,9 @@ from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
 from magmatch.registration.published_answer import answer_of
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult
 from magmatch.registration.strategies import strategies
-from magmatch.registration.strategy import Weighed
+from magmatch.registration.strategy import Pair, Strategy, Weighed
 
 Target = Survey | FieldMap
 Base = Target | MapIndex
@@ -27,7 +28,13 @@ Outcome = tuple[FieldMap | MapIndex, Target, RegistrationResult]
 
 
 def register_once(
-    base: Base, target: Target, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
+    base: Base,
+    target: Target,
+    samples: Survey,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Clock,
+    given: Given = NONE_GIVEN,
 ) -> Outcome:
     """The answer without calibration of sensors; a walk is compared with all its samples, mapped or not."""
     with clock("maps"):
@@ -46,9 +53,9 @@ def register_once(
         with clock("prepare"):
             pair = strategy.pair(index)
         with clock("search"):
-            found = strategy.search(pair)
+            found = SearchResult() if given.is_alone else strategy.search(pair)
         with clock("refine"):
-            weighed = strategy.refine_and_weigh(pair, found)
+            weighed = refine_and_weigh(strategy, pair, found, given)
         answer = settle_and_decide(weighed, config.decision, clock)
         tried.append((strategy.target, answer))
         if answer.is_accepted:
@@ -57,6 +64,19 @@ def register_once(
     used, answer = max(tried, key=lambda one: (one[1].is_accepted, one[1].probability or 0))
     with clock("decide"):
         return index, used, naming_drift(answer, index, samples, config)
+
+
+def refine_and_weigh(
+    strategy: Strategy[Any, Any, Any], pair: Pair[Any, Any], found: SearchResult, given: Given
+) -> Weighed[Any, Any, Any]:
+    """Weigh what a search found, and by the same steps what was given: the posterior compares them all."""
+    weighed = strategy.refine_and_weigh(pair, found)
+    if not given.poses:
+        return weighed
+    others = strategy.refine_and_weigh(pair, given.between(pair.T_base_model, pair.T_target_model))
+    return (
+        replace(weighed, ranked=[*weighed.ranked, *others.ranked]) if weighed.ranked else replace(others, found=found)
+    )
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:
