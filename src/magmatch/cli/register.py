@@ -114,7 +114,8 @@ def register(
 
         # If no map of a folder fits, there is nothing to draw; the report then has text only.
         target_map = None if base_map is None else as_map(mapped, settings.field)
-        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
+        published = settings.keypoints if settings.search == "keypoints" else None
+        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed), published)
     if json:
         put(as_json(result.to_dict()))
     say(tell_result(result, out, report))
