@@ -28,7 +28,7 @@ LITERAL = PublishedConfig(
     features=FeatureConfig(
         # 100 G, in bins of 10 G. A field of the Earth's strength, 0.5 G, then only tells the signs of components.
         component_range=0.01,
-        # A hundredth of the Earth's 50 uT, squared: about what a phone's sensor reads wrong.
+        # A hundredth of the Earth's 50 uT, squared.
         max_variance=0.5e-6**2,
         min_frame_strength=0.0,
     ),
