@@ -12,7 +12,9 @@ ROOT = Path(__file__).parents[1]
 
 # ros2_node.py needs ROS; tests/localization/test_ros2_node.py runs what of it does not.
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda path: path.stem)
-def test_an_example_runs_and_says_something(example, capsys, monkeypatch):
+def test_an_example_runs_and_says_something(example, capsys, monkeypatch, tmp_path):
+    # Where figures are saved.
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")
     assert capsys.readouterr().out

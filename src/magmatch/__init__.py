@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from magmatch.registration.config import PRESETS, RegistrationConfig
     from magmatch.registration.index.atlas import Atlas, open_atlas
     from magmatch.registration.index.map_index import MapIndex
-    from magmatch.registration.register import register
+    from magmatch.registration.register import judge, register
     from magmatch.registration.result import RegistrationResult, Status
     from magmatch.simulation.simulate import simulate
     from magmatch.slam.config import SlamConfig
@@ -82,6 +82,7 @@ _HOMES = {
     "Trajectory": "data.trajectory",
     "build_map": "field.build",
     "extract_features": "features.extract",
+    "judge": "registration.register",
     "localize": "localization.localize",
     "merge": "slam.merge",
     "open_atlas": "registration.index.atlas",
@@ -125,6 +126,7 @@ __all__ = [
     "Trajectory",
     "build_map",
     "extract_features",
+    "judge",
     "localize",
     "merge",
     "open_atlas",

@@ -63,14 +63,24 @@ def test_settings_of_experiments_and_methods_are_in_their_fingerprints():
 def test_published_figures_stand_below_ours(findings):
     table = result_tables(findings)[0]
     k = next(k for k, cells in enumerate(table.rows) if cells[:2] == ("office-z30", "paper"))
-    assert table.rows[k + 1][:6] == ("office-z30", "paper, as published", "", "", "81.6 ± 29.9", "3.23 ± 1.83")
+    assert table.rows[k + 1][7:9] == ("81.6 ± 29.9", "3.23 ± 1.83")
 
 
 def test_trials_without_a_pose_are_told_and_have_no_95_percent(findings):
     cells = next(c for c in result_tables(findings)[0].rows if c[:2] == ("office-z30", "paper"))
     assert cells[2] == "1 of 2"
-    assert "1 without a pose" in cells[4]
-    assert cells[7].startswith("none")
+    assert cells[4:7] == ("0", "0", "1")
+    assert all(cell.endswith(", of 1 only") for cell in cells[7:9])
+    assert cells[10].startswith("none")
+
+
+def test_outcomes_of_a_row_are_all_its_trials(findings):
+    table = result_tables(findings)[0]
+    assert table.header[2:7] == ("right", "95 % interval", "wrong", "refused", "no pose")
+    for cells in table.rows:
+        if not cells[1].endswith("as published"):
+            right, n = map(int, cells[2].split(" of "))
+            assert right + sum(map(int, cells[4:7])) == n
 
 
 def test_all_lines_of_a_table_have_as_many_cells(findings):

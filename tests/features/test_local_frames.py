@@ -5,14 +5,14 @@ import numpy as np
 
 from magmatch.features.config import FeatureConfig
 from magmatch.features.extract import extract_features
-from magmatch.features.grids import evaluate_at, inference_grid
-from magmatch.features.local_frames import local_frames
+from magmatch.features.infer import infer
+from magmatch.features.local_frames import frame_axes
 
 FINE = FeatureConfig(spacing=0.08)
 
 
 def frames_of(field, neighbours, distance=(1.0, 2.0), frame_sd=2.0):
-    return local_frames(np.array(field), np.array([0]), np.array(neighbours), np.array(distance), frame_sd)
+    return frame_axes(np.array(field), np.array([0]), np.array(neighbours), np.array(distance), frame_sd)
 
 
 def test_axes_follow_the_printed_recipe():
@@ -53,11 +53,10 @@ def test_a_whole_support_in_air_says_little_about_the_x_axis(make_map):
     # Components of B are harmonic, so their weighted mean over a ball is the value at its centre, which projects to
     # nothing: only supports that the region's edge cuts have a strong sum.
     field_map = make_map(3)
-    points = inference_grid(field_map, FINE)
-    field = evaluate_at(field_map, points).field
+    points = infer(field_map, FINE)
     rows = np.arange(len(points))
     neighbours, distance = points.support(rows, 3.0)
-    _, strength = local_frames(field, rows, neighbours, distance, 1.5)
+    _, strength = frame_axes(points.field, rows, neighbours, distance, 1.5)
     n_there = (neighbours >= 0).sum(axis=1)
     is_whole = n_there == neighbours.shape[1]
     assert is_whole.sum() > 50

@@ -8,9 +8,10 @@ from magmatch_evaluation.survey_pairs import ROUGH_WORDS
 SOURCE = "McDonald et al., Mag-Match, IROS 2025, arXiv:2508.15300, table of results"
 
 HOW_TO_READ = (
-    "Right: accepted and within tolerance, with Wilson's 95 % interval. All methods get the same pairs. Trials that "
-    "failed count in every column: RMSE and standard deviation, as published, are of the best pose of every trial, "
-    "accepted or not; median and 95 % take a trial without a pose as infinitely far off ('none'). NEES is per degree "
+    "Right: accepted and within tolerance, with Wilson's 95 % interval; wrong: accepted, out of tolerance; refused: "
+    "with a best pose, not accepted; no pose: nothing found. All methods get the same pairs. RMSE and standard "
+    "deviation, as published, are of the best pose of every trial, accepted or not, and the cell says of how many "
+    "only; median and 95 % take a trial without a pose as infinitely far off ('none'). NEES is per degree "
     "of freedom, 1 where the stated covariance is right. Every seed draws another place, path, frame and noise. "
     f"'As published': {SOURCE}; its data are not public, ours are equivalents. Baselines other than this package's "
     f"own refinement are accepted by the published fitness check. gicp and refine-rough are {ROUGH_WORDS}: they "

@@ -28,8 +28,8 @@ class TextTable:
 
 
 ERROR_HEADER = (
-    "experiment", "method", "right", "95 % interval", "RMSE ± sd, mm", "RMSE ± sd, deg",
-    "median, mm / deg", "95 %, mm / deg", "wrongly accepted", "NEES",
+    "experiment", "method", "right", "95 % interval", "wrong", "refused", "no pose", "RMSE ± sd, mm",
+    "RMSE ± sd, deg", "median, mm / deg", "95 %, mm / deg", "NEES",
 )  # fmt: skip
 
 
@@ -45,9 +45,9 @@ def error_table(title: str, found: Summaries, floors: Mapping[str, str], note: s
         if (experiment, method) in PUBLISHED:
             p = PUBLISHED[experiment, method]
             rows.append((
-                experiment, f"{method}, as published", "", "",
+                experiment, f"{method}, as published", "", "", "", "", "",
                 f"{1e3 * p.distance:.1f} ± {1e3 * p.distance_sd:.1f}", f"{p.angle_deg:.2f} ± {p.angle_sd_deg:.2f}",
-                "", "", "", "",
+                "", "", "",
             ))  # fmt: skip
     header = (*ERROR_HEADER, "accuracy of the data") if has_floors else ERROR_HEADER
     return TextTable(title, header, tuple(rows), note)
@@ -122,15 +122,21 @@ def _mapping_cell(rows: Sequence[MapRow]) -> str:
 
 def _error_cells(s: Summary) -> tuple[str, ...]:
     low, high = s.success
-    lacking = "" if s.n_posed == s.n else f" ({s.n - s.n_posed} without a pose)"
+    # A root mean square of those that have a pose is not one of the trials.
+    lacking = "" if s.n_posed == s.n else f", of {s.n_posed} only"
     return (
         f"{s.n_right} of {s.n}",
         f"{low:.0%} to {high:.0%}",
-        _rmse(s.distance, 1e3, 1) + lacking,
-        _rmse(s.angle_deg, 1.0, 2),
+        str(s.n_false),
+        str(s.n_posed - s.n_right - s.n_false),
+        str(s.n - s.n_posed),
+        *(
+            (_rmse(s.distance, 1e3, 1) + lacking, _rmse(s.angle_deg, 1.0, 2) + lacking)
+            if s.n_posed
+            else ("none", "none")
+        ),
         f"{_number(1e3 * s.distance.median, 1)} / {_number(s.angle_deg.median, 2)}",
         f"{_number(1e3 * s.distance.p95, 1)} / {_number(s.angle_deg.p95, 2)}",
-        str(s.n_false),
         _number(s.nees, 2),
     )
 

@@ -48,7 +48,10 @@ def register(
     out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
     report: Annotated[Path | None, typer.Option(help="Write an HTML report here.")] = None,
     preset: Annotated[
-        str, typer.Option(help="Settings to start from: default, or paper (as published).")
+        str,
+        typer.Option(
+            help="Settings to start from: default, paper (as published) or paper-literal (to the letter; slow)."
+        ),
     ] = "default",
     sensor: Annotated[
         str, typer.Option(help="Differences between the magnetometers to estimate: auto|none|bias|scale|full.")
@@ -111,7 +114,8 @@ def register(
 
         # If no map of a folder fits, there is nothing to draw; the report then has text only.
         target_map = None if base_map is None else as_map(mapped, settings.field)
-        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed))
+        published = settings.keypoints if settings.search == "keypoints" else None
+        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed), published)
     if json:
         put(as_json(result.to_dict()))
     say(tell_result(result, out, report))

@@ -11,10 +11,14 @@ from magmatch.settings import Settings
 class FeatureConfig(Settings):
     """Where a map is asked, which points are kept, and how their surroundings are described."""
 
-    # Where X* lies: a grid over the measured region, or near the path of a robot; 'auto' looks how much of the
-    # samples' box lies near a sample.
+    # Where X* lies: a grid within the samples' hull, or near the path of a robot; 'auto' looks how much of the hull
+    # lies near a sample.
     grid: Literal["auto", "region", "path"] = "auto"
-    # Distance of the points of X*, m. None: `spacing_in_lengthscales`, coarser where `max_points` asks for it.
+    # Axes of the grid: the survey's own (published), but for the normal of a flat survey; or the principal axes of
+    # its samples, with which features do not depend on the frame.
+    axes: Literal["survey", "principal"] = "survey"
+    # Distance of the points of X*, m, used as stated or refused. None: `spacing_in_lengthscales`, coarser where
+    # `max_points` asks for it.
     spacing: float | None = Field(default=None, gt=0)
     # Experiment: 0.13 to 0.2 do alike.
     spacing_in_lengthscales: float = Field(default=0.16, gt=0)
@@ -24,6 +28,8 @@ class FeatureConfig(Settings):
     path_radius: float = Field(default=3.0, gt=0)
     # Of the points above the mean response, the share with the lowest posterior variance that is kept.
     variance_quantile: float = Field(default=0.9, gt=0, le=1)
+    # Or the largest posterior variance of a keypoint's field, T^2, asked at each point as published.
+    max_variance: float | None = Field(default=None, gt=0)
     # Radius of a keypoint's support, spacings (published: 4).
     support_radius: float = Field(default=4.0, ge=1)
     # Standard deviation of the Gaussian that weighs the support for the local frame, spacings.

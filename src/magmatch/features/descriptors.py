@@ -3,13 +3,36 @@
 
 import numpy as np
 
-from magmatch.features.local_frames import CHUNK
+from magmatch.features.infer import Inferred
+from magmatch.features.local_frames import CHUNK, LocalFrames
 from magmatch.typing import Matrix, Tensors, Vectors
 
 N_AZIMUTH, N_ELEVATION, N_COMPONENT = 20, 10, 20
 N_DIMENSIONS = N_AZIMUTH + N_ELEVATION + 3 * N_COMPONENT
 # The component range covers this share of the data, so that one strong magnet does not empty the other bins.
 RANGE_QUANTILE = 0.98
+
+
+def describe(inferred: Inferred, frames: LocalFrames, half_range: float | None = None) -> Matrix:
+    """Describe the surroundings of each keypoint by Histograms of Oriented Vectors in its local frame.
+
+    Parameters
+    ----------
+    inferred : Inferred
+        The field at X*.
+    frames : LocalFrames
+        Keypoints.
+    half_range : float, T, optional
+        Half range of the component histograms; maps to be compared must share it. By default from the map's samples.
+
+    Returns
+    -------
+    (k, 90) array
+        20 shares of azimuth, 10 of elevation, and 20 of each component.
+    """
+    if half_range is None:
+        half_range = component_range(inferred.field_map.survey.field)
+    return histograms_of_oriented_vectors(inferred.field, frames.support, frames.axes, half_range)
 
 
 def component_range(field: Vectors) -> float:

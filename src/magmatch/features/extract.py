@@ -1,21 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`extract_features`: a field map in, keypoints with local frames and descriptors out."""
 
-import logging
-from collections.abc import Sequence
-
 from scipy.spatial.transform import Rotation
 
 from magmatch.arguments import expect_kind
 from magmatch.features.config import FeatureConfig
-from magmatch.features.descriptors import N_DIMENSIONS, component_range, histograms_of_oriented_vectors
+from magmatch.features.descriptors import describe
 from magmatch.features.features import Features
-from magmatch.features.grids import evaluate_at, inference_grid
-from magmatch.features.keypoints import curvature_response, find_keypoints
-from magmatch.features.local_frames import local_frames
+from magmatch.features.infer import Inferred, infer
+from magmatch.features.keypoints import curvature_response, detect
+from magmatch.features.local_frames import LocalFrames, local_frames
 from magmatch.field.map import FieldMap
-
-log = logging.getLogger(__name__)
+from magmatch.typing import Matrix
 
 
 def extract_features(
@@ -40,28 +36,16 @@ def extract_features(
     """
     expect_kind(field_map, "field_map", (FieldMap,), "build_map(survey) makes one")
     config = config or FeatureConfig()
-    points = inference_grid(field_map, config)
-    values = evaluate_at(field_map, points)
-    response = curvature_response(values)
-    rows = find_keypoints(field_map, points, response, config)
-    if not len(rows):
-        return Features.empty(N_DIMENSIONS)
-
-    neighbours, distance = points.support(rows, config.support_radius)
-    frames, strength = local_frames(values.field, rows, neighbours, distance, config.frame_sd)
-    kept = strength > config.min_frame_strength
-    rows, neighbours, frames = rows[kept], neighbours[kept], frames[kept]
-    log.info("%d of %d keypoints have a local frame", len(rows), len(kept))
-    if not len(rows):
-        return Features.empty(N_DIMENSIONS)
-
-    half_range = shared_range([field_map], config) if half_range is None else half_range
-    descriptors = histograms_of_oriented_vectors(values.field, neighbours, frames, half_range)
-    return Features(
-        points.positions[rows], values.field[rows], response[rows], Rotation.from_matrix(frames), descriptors
-    )
+    inferred = infer(field_map, config)
+    frames = local_frames(inferred, detect(inferred, config), config)
+    return features_of(inferred, frames, describe(inferred, frames, half_range or config.component_range))
 
 
-def shared_range(field_maps: Sequence[FieldMap], config: FeatureConfig) -> float:
-    """Half range of the component histograms that suits all maps: configured, or scaled to their samples, T."""
-    return config.component_range or max(component_range(m.survey.field) for m in field_maps)
+def features_of(inferred: Inferred, frames: LocalFrames, descriptors: Matrix) -> Features:
+    """Put described keypoints together."""
+    if not len(frames):
+        return Features.empty(descriptors.shape[1])
+    rows = frames.rows
+    response = curvature_response(inferred.values)[rows]
+    axes = Rotation.from_matrix(frames.axes)
+    return Features(inferred.positions[rows], inferred.field[rows], response, axes, descriptors)

@@ -1,16 +1,72 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Local reference frames: axes at each keypoint that turn with the field around it."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from magmatch.features.config import FeatureConfig
+from magmatch.features.infer import Inferred
 from magmatch.geometry import unit_vectors
-from magmatch.typing import Scalars, Tensors, Vectors
+from magmatch.typing import Indices, Scalars, Tensors, Vectors
 
 # Support vectors held in memory at once.
 CHUNK = 1_000_000
 
 
-def local_frames(
+@dataclass(frozen=True, eq=False, slots=True)
+class LocalFrames:
+    """Keypoints with axes that turn with the field around them.
+
+    Attributes
+    ----------
+    rows : (k,) array
+        The keypoints, as rows of X*.
+    axes : (k, 3, 3) array
+        Columns are the axes x, y, z in the map frame: they take local coordinates to map coordinates.
+    strength : (k,) array
+        Length of the sum that gives the x-axis, over the sum of lengths: near 0 the axis is noise.
+    support : (k, s) array
+        Rows of X* within the radius of each keypoint, itself left out; -1 where X* has no point.
+    """
+
+    rows: Indices
+    axes: Tensors
+    strength: Scalars
+    support: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __repr__(self) -> str:
+        return f"LocalFrames({len(self)} keypoints)"
+
+
+def local_frames(inferred: Inferred, rows: Indices, config: FeatureConfig | None = None) -> LocalFrames:
+    """Lay a frame at each keypoint: z along the field, x along the field around it.
+
+    Parameters
+    ----------
+    inferred : Inferred
+        The field at X*.
+    rows : (k,) array of ints
+        Keypoints.
+    config : FeatureConfig, optional
+        Radius of the support, its Gaussian weight, and the least strength of an x-axis.
+
+    Returns
+    -------
+    LocalFrames
+        Of the keypoints whose x-axis is stronger than noise.
+    """
+    config = config or FeatureConfig()
+    support, distance = inferred.support(rows, config.support_radius)
+    axes, strength = frame_axes(inferred.field, rows, support, distance, config.frame_sd)
+    kept = strength > config.min_frame_strength
+    return LocalFrames(rows[kept], axes[kept], strength[kept], support[kept])
+
+
+def frame_axes(
     field: Vectors,
     keypoint_rows: np.ndarray,
     neighbours: np.ndarray,

@@ -7,9 +7,10 @@ from pydantic import Field
 
 from magmatch.arguments import expect_kind
 from magmatch.field.config import FieldConfig
+from magmatch.published.config import LITERAL, PublishedConfig
+from magmatch.published.register import FIELD
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
-from magmatch.registration.published.config import PublishedConfig
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
@@ -52,10 +53,12 @@ PRESETS: dict[str, RegistrationConfig] = {
     "default": RegistrationConfig(),
     # The published method with the corrections of docs/theory/published.md, every sample used.
     "paper": RegistrationConfig(
-        field=FieldConfig(prior="divergence_free", leave_out_outliers=False),
+        field=FIELD,
         search="keypoints",
         calibrate=False,
     ),
+    # The same to the letter, printed slips apart; slow.
+    "paper-literal": RegistrationConfig(field=FIELD, search="keypoints", calibrate=False, keypoints=LITERAL),
 }
 
 

@@ -64,7 +64,9 @@ class MapStrategy:
     def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> Weighed[PreparedMap, PreparedMap, PoseEvidence]:
         """Refine poses against both maps, and weigh them; each cell of the target is evidence for or against."""
         settings = self.config.refinement, self.config.changes
-        ranked = rank_poses(pair.base, pair.target, found.poses, pair.prior, *settings, self.seed)
+        ranked = rank_poses(
+            pair.base, pair.target, found.poses, pair.prior, *settings, self.seed, is_unordered=found.is_unordered
+        )
         return Weighed(self, pair, found, ranked)
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:

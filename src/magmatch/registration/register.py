@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`register`: two surveys (or maps, or many maps and a survey) in, one transform or a refusal with a reason out."""
+"""`register`: surveys or maps in, one transform or a refusal with a reason out; `judge`: the same, of poses given."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from magmatch.arguments import whole_number_of
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.arguments import expect_kind, expect_transform, whole_number_of
 from magmatch.data.diagnoses import warn
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
@@ -19,6 +23,7 @@ from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_base, require_target, survey_of
 from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
+from magmatch.registration.search.candidate import NONE_GIVEN, Given
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate_sensors
 from magmatch.registration.steps import Base, Target, register_once
 from magmatch.threads import one_blas_thread
@@ -29,6 +34,7 @@ def register(
     target: Target,
     config: RegistrationConfig | None = None,
     *,
+    candidates: Sequence[RigidTransform] = (),
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RegistrationResult:
@@ -42,7 +48,10 @@ def register(
     target : Survey or FieldMap
         In its own frame.
     config : RegistrationConfig, optional
-        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method. An `Atlas` has its own.
+        Preset ``default`` unless given; ``PRESETS["paper"]`` is the published method, ``"paper-literal"`` the same to
+        the letter. An `Atlas` has its own.
+    candidates : list of RigidTransform, optional
+        Poses ``T_base_target`` from elsewhere (another matcher, GNSS), weighed beside those that are found.
     seed : int
         Same input, configuration and seed give the same answer bit for bit.
     progress : callable, optional
@@ -61,34 +70,101 @@ def register(
         Neither surveys nor maps; says how to convert what was given.
     """
     with followed(progress):
-        return register_keeping_maps(base, target, config, seed=seed)[2]
+        return register_keeping_maps(base, target, config, seed=seed, given=given_poses(candidates))[2]
+
+
+def judge(
+    base: Base,
+    target: Target,
+    candidates: Sequence[RigidTransform],
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> RegistrationResult:
+    """Refine and weigh poses from any source, and decide between them as `register` does, without a search.
+
+    Parameters
+    ----------
+    base : Survey, FieldMap or MapIndex
+        As for `register`; no folder, whose maps have no common frame.
+    target : Survey or FieldMap
+    candidates : list of RigidTransform
+        ``T_base_target``, in any order, each as near as a refinement needs: a fraction of the field's correlation
+        length. Of none the result has a status too.
+    config : RegistrationConfig, optional
+        Preset ``default`` unless given.
+    seed : int
+        Same input, configuration and seed give the same answer bit for bit.
+    progress : callable, optional
+        Called with the current step and the fraction done; see `magmatch.progress`.
+
+    Returns
+    -------
+    RegistrationResult
+        As of `register`. Its probability knows the rivals among the candidates only: if a pose elsewhere fits as
+        well, ``register(..., candidates=...)`` finds it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A candidate that is no rigid transform, or not finite.
+    ConfigurationError
+        Settings of the published method, which has no posterior.
+    """
+    with followed(progress):
+        return register_keeping_maps(base, target, config, seed=seed, given=given_poses(candidates, is_alone=True))[2]
+
+
+def given_poses(candidates: Sequence[RigidTransform], *, is_alone: bool = False) -> Given:
+    """Check poses from elsewhere."""
+    expect_kind(candidates, "candidates", (list, tuple), "give a list of RigidTransform")
+    for i, T in enumerate(candidates):
+        expect_transform(T, f"candidates[{i}]")
+        if not np.isfinite(T.as_matrix()).all():
+            msg = f"candidates[{i}]: expected finite numbers, got NaN or infinity; leave it out"
+            raise ValueError(msg)
+    return Given(tuple(candidates), is_alone=is_alone)
 
 
 def register_keeping_maps(
-    base: Base | str | Path, target: Target, config: RegistrationConfig | None = None, *, seed: int = 0
+    base: Base | str | Path,
+    target: Target,
+    config: RegistrationConfig | None = None,
+    *,
+    seed: int = 0,
+    given: Given = NONE_GIVEN,
 ) -> tuple[FieldMap | MapIndex | None, Target, RegistrationResult]:
     """Register, and also return base and target as they were used: for pictures, or to keep what was prepared.
 
     There is no base where none of many maps holds a pose.
     """
     base, config = _opened(base, target, config)
+    if config.search == "keypoints" and (given.poses or given.is_alone):
+        msg = "candidates: the published method weighs no poses but its own; use the preset 'default'"
+        raise ConfigurationError(msg)
     whole_number_of(seed, "seed")
     # A folder of one map is that map; its name is that of the file.
     only = base.entries[0] if isinstance(base, Atlas) and len(base.entries) == 1 else None
     if only is not None and isinstance(base, Atlas):
         base = base.load(only)
+    if isinstance(base, Atlas) and (given.poses or given.is_alone):
+        msg = "candidates: poses in which of many maps? give one map as the base"
+        raise ConfigurationError(msg)
     clock, samples = Clock(), survey_of(target)
     known = [samples] if isinstance(base, Atlas) else [survey_of(base), samples]
     diagnoses = warn(known)
     with one_blas_thread():
-        outcome = register_once(base, target, samples, config, seed, clock)
+        outcome = register_once(base, target, samples, config, seed, clock, given)
         # Vectors in a wrong frame are reported at once: no calibration corrects them.
         if config.calibrate and not any(found.is_of_frames for found in diagnoses):
             with clock("calibrate"):
                 calibrated = calibrate_sensors(base, outcome, samples)
             if calibrated:
                 inputs, sides = calibrated
-                outcome = better_supported(outcome, attempted(register_once, *inputs, config, seed, clock), sides)
+                outcome = better_supported(
+                    outcome, attempted(register_once, *inputs, config, seed, clock, given), sides
+                )
     base_used, used, answer = outcome
     has_pose = answer.best_pose is not None
     if only is not None:

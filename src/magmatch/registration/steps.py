@@ -9,6 +9,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
+from magmatch.published.register import register as register_published
 from magmatch.registration.bases import Bases, OneBase
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
@@ -19,10 +20,11 @@ from magmatch.registration.find_drift import naming_drift
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
-from magmatch.registration.published.method import register_published
+from magmatch.registration.published_answer import answer_of
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult
 from magmatch.registration.strategies import strategies
-from magmatch.registration.strategy import Among, Strategy, Weighed
+from magmatch.registration.strategy import Among, Pair, Strategy, Weighed
 
 Target = Survey | FieldMap
 Base = Target | MapIndex | Atlas
@@ -31,7 +33,13 @@ Outcome = tuple[FieldMap | MapIndex, Target, RegistrationResult]
 
 
 def register_once(
-    base: Base, target: Target, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
+    base: Base,
+    target: Target,
+    samples: Survey,
+    config: RegistrationConfig,
+    seed: int,
+    clock: Clock,
+    given: Given = NONE_GIVEN,
 ) -> Outcome:
     """The answer without calibration of sensors; a walk is compared with all its samples, mapped or not."""
     with clock("maps"):
@@ -40,7 +48,9 @@ def register_once(
     if config.search == "keypoints" and not isinstance(base, Atlas):
         with clock("maps"):
             target_map = as_map(target, config.field)
-        return base, target_map, register_published(map_of(base), target_map, config.keypoints, seed, clock)
+        with clock("search"):
+            published = register_published(map_of(base), target_map, config=config.keypoints, seed=seed)
+        return base, target_map, answer_of(published)
     with clock("prepare"):
         bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base, config), config)
     weighed, tried = dict[Any, Weighed[Any, Any, Any]](), list[tuple[Any, Target, RegistrationResult]]()
@@ -48,7 +58,7 @@ def register_once(
         # Another strategy is another look at the map that was most probable.
         likely = [tried[-1][0]] if tried else _likely(bases, strategy, clock)
         for one in likely:
-            weighed[one] = weigh(bases, one, likely, strategy, clock)
+            weighed[one] = weigh(bases, one, likely, strategy, given, clock)
         best, answer = decide_among(bases, weighed, clock)
         tried.append((best, strategy.target, answer))
         if answer.is_accepted:
@@ -66,7 +76,12 @@ def _likely(bases: Bases, strategy: Strategy[Any, Any, Any], clock: Clock) -> li
 
 
 def weigh(
-    bases: Bases, one: Any, likely: list[Any], strategy: Strategy[Any, Any, Any], clock: Clock
+    bases: Bases,
+    one: Any,
+    likely: list[Any],
+    strategy: Strategy[Any, Any, Any],
+    given: Given,
+    clock: Clock,
 ) -> Weighed[Any, Any, Any]:
     """Weigh poses of the target in one of the maps, with the search penalty for all of them."""
     if len(likely) > 1:
@@ -74,9 +89,22 @@ def weigh(
     with clock("prepare"):
         pair = strategy.pair(bases.load(one), Among(bases.volume, bases.length_of(likely)))
     with clock("search"):
-        found = strategy.search(pair)
+        found = SearchResult() if given.is_alone else strategy.search(pair)
     with clock("refine"):
-        return strategy.refine_and_weigh(pair, found)
+        return refine_and_weigh(strategy, pair, found, given)
+
+
+def refine_and_weigh(
+    strategy: Strategy[Any, Any, Any], pair: Pair[Any, Any], found: SearchResult, given: Given
+) -> Weighed[Any, Any, Any]:
+    """Weigh what a search found, and by the same steps what was given: the posterior compares them all."""
+    weighed = strategy.refine_and_weigh(pair, found)
+    if not given.poses:
+        return weighed
+    others = strategy.refine_and_weigh(pair, given.between(pair.T_base_model, pair.T_target_model))
+    return (
+        replace(weighed, ranked=[*weighed.ranked, *others.ranked]) if weighed.ranked else replace(others, found=found)
+    )
 
 
 def decide_among(

@@ -24,8 +24,8 @@ from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKerne
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreePrior
+from magmatch.published.recursion import RecursiveField
 from oracles.dense import DenseGP
-from oracles.recursive import RecursiveSparseGP
 
 laws = settings(deadline=None, max_examples=8)
 H = Hyperparameters(lengthscale=0.7, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.6)
@@ -70,7 +70,7 @@ def test_information_is_the_sums_that_it_is_defined_by(model, samples):
 def test_batch_equals_the_published_recursion(model, posterior, samples):
     points, field = samples
     kernel = DivergenceFreeKernel(H.lengthscale, H.signal_sd)
-    state = RecursiveSparseGP.start(kernel, model.basis.grid.nodes, H.noise_sd, CONSTANT_SD, jitter=1e-9)
+    state = RecursiveField.start(kernel, model.basis.grid.nodes, H.noise_sd, CONSTANT_SD, jitter=1e-9)
     for rows in np.array_split(np.random.default_rng(0).permutation(len(points)), 7):
         state = state.update(points[rows], field[rows])
     here, recursive = posterior.evaluate(queries(), 2), state.mean(queries(), 2)

@@ -11,10 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.features.config import FeatureConfig
-from magmatch.features.extract import extract_features, shared_range
+from magmatch.features.extract import extract_features
 from magmatch.field.map import FieldMap
-from magmatch.registration.published.matching import MatchingConfig, match_features
-from magmatch.registration.published.method import comparable
+from magmatch.published.config import PublishedConfig
+from magmatch.published.matching import MatchingConfig, match
+from magmatch.published.register import comparable
 from magmatch.registration.result import RegistrationResult
 from magmatch_evaluation.baselines.judged import judged
 
@@ -39,10 +40,9 @@ def register_by_kiss_matcher(
     """Register two maps by KISS-Matcher's solver over matched keypoints."""
     import kiss_matcher  # has no release for the newest Python
 
-    features = comparable(base_map, target_map, config.features)
-    half_range = shared_range([base_map, target_map], features)
-    base, target = (extract_features(m, features, half_range) for m in (base_map, target_map))
-    matches = match_features(base, target, config.matching)
+    features = comparable(base_map, target_map, PublishedConfig(features=config.features)).features
+    base, target = (extract_features(m, features) for m in (base_map, target_map))
+    matches = match(base.descriptors, target.descriptors, config.matching)
     if len(matches) < 3:
         return judged(base_map, target_map, None, n_correspondences=len(matches))
     settings = kiss_matcher.KISSMatcherConfig(config.noise_bound * (features.spacing or 0.0))

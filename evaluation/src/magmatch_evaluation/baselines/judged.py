@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What all baselines share: an answer is accepted by the published check, so that none is better off for its own."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
-from magmatch.registration.decide.fitness import alignment_fitness
-from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness
+from magmatch.published import fitness
+from magmatch.published.fitness import FitnessConfig
+from magmatch.registration.published_answer import state_check
 from magmatch.registration.result import RegistrationResult
-from magmatch.registration.search.candidate import SearchResult
 
 
 def judged(
@@ -21,7 +23,7 @@ def judged(
 ) -> RegistrationResult:
     """State the answer of a baseline (None where it gave up), judged by the mean misalignment of vectors."""
     if found is None or not np.isfinite(found.as_matrix()).all():
-        return by_fitness(SearchResult(n_correspondences=n_correspondences), None, FitnessConfig())
-    search = SearchResult((found,), n_correspondences=n_correspondences, n_inliers=n_inliers)
-    fitness = alignment_fitness(base_map, target_map.survey, found)
-    return by_fitness(search, fitness, FitnessConfig())
+        answer = state_check((), None, FitnessConfig())
+    else:
+        answer = state_check((found,), fitness(base_map, target_map.survey, found), FitnessConfig())
+    return replace(answer, n_correspondences=n_correspondences, n_inliers=n_inliers)

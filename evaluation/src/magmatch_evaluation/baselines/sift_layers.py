@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial import cKDTree
 
 from magmatch.field.map import FieldMap
-from magmatch.registration.published.consensus import ConsensusConfig, vector_msac
+from magmatch.published.consensus import ConsensusConfig, vector_msac
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Points, Vectors
 from magmatch_evaluation.baselines.judged import judged

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import rotate_vectors, rotation_matrix, transform_points
-from magmatch.registration.decide.fitness import mean_misalignment
+from magmatch.published.fitness import mean_misalignment
 from magmatch.registration.prepared.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk

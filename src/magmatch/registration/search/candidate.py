@@ -20,3 +20,21 @@ class SearchResult:
     n_correspondences: int = 0
     n_inliers: int = 0  # of the best pose
     links: Links = NO_LINKS  # corresponding points that support it
+    # Whether all poses are refined, however clear the first are: those of somebody else are in no order.
+    is_unordered: bool = False
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Given:
+    """Poses from elsewhere, to be weighed beside those of the search, or alone."""
+
+    poses: tuple[RigidTransform, ...] = ()  # ``T_base_target``, in the surveys' frames
+    is_alone: bool = False
+
+    def between(self, T_base_model: RigidTransform, T_target_model: RigidTransform) -> SearchResult:
+        """The same poses in the frames in which poses are searched."""
+        poses = tuple(T_base_model.inv() * T * T_target_model for T in self.poses)
+        return SearchResult(poses, is_unordered=True)
+
+
+NONE_GIVEN = Given()

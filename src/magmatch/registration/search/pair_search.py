@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from magmatch.distinct import distinct_poses
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.progress import tell
 from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, SAMPLING, even_choice, thin
@@ -16,7 +17,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import SearchResult
-from magmatch.registration.search.invariant_search import best_admitted, distinct_poses
+from magmatch.registration.search.invariant_search import best_admitted
 from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
 from magmatch.registration.search.scoring import Evidence, score_poses
 from magmatch.settings import Settings

@@ -27,8 +27,10 @@ def rank_poses(
     refinement: RefinementConfig,
     changes: ChangeConfig,
     seed: int,
+    *,
+    is_unordered: bool = False,
 ) -> list[PoseEvidence]:
-    """Refine candidates and order them by their evidence, best first."""
+    """Refine candidates and order them by their evidence, best first; all of them if they come in no order."""
     tell("refining the best poses")
     nulls = null_models_of(base, target)
 
@@ -36,7 +38,8 @@ def rank_poses(
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
         return weigh_pose(base, target, pose, nulls, prior)
 
-    ranked = _rank_candidates(starts, weigh, refinement)
+    n_first = len(starts) if is_unordered else refinement.n_candidates
+    ranked = _rank_candidates(starts, n_first, weigh, refinement)
     if not ranked:
         return ranked
     with_like_sensors = ranked[0].pose
@@ -46,13 +49,13 @@ def rank_poses(
 
 
 def _rank_candidates(
-    starts: Sequence[RigidTransform], weigh: Weigh, settings: RefinementConfig
+    starts: Sequence[RigidTransform], n_first: int, weigh: Weigh, settings: RefinementConfig
 ) -> list[PoseEvidence]:
     """Refine the first candidates, and the others if none of them is clear."""
     ranking, level = settings.for_ranking(), levels_to_try(settings.sensor)[0]
-    ranked = [weigh(start, ranking, level) for start in starts[: settings.n_candidates]]
+    ranked = [weigh(start, ranking, level) for start in starts[:n_first]]
     if max((e.log_evidence for e in ranked), default=-np.inf) < settings.clear_log_evidence:
-        ranked += [weigh(start, ranking, level) for start in starts[settings.n_candidates :]]
+        ranked += [weigh(start, ranking, level) for start in starts[n_first:]]
     return sorted(ranked, key=_by_evidence)
 
 

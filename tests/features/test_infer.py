@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a map is asked."""
+"""Where a map is asked, and what it says there."""
 
 import numpy as np
 import pytest
 
+from magmatch.errors import ConfigurationError
 from magmatch.features.config import FeatureConfig
-from magmatch.features.grids import evaluate_at, grid_spacing, inference_grid
+from magmatch.features.infer import grid_spacing, in_hull, infer
 from magmatch.field.cholesky.cells import ball_offsets
+from magmatch.geometry import random_transform
 
 
 def circle(n=300):
@@ -14,23 +16,52 @@ def circle(n=300):
     return np.column_stack([1.2 + np.cos(angle), 1 + np.sin(angle), 0.3 + 0 * angle])
 
 
-def test_a_volume_is_asked_everywhere_and_a_path_only_nearby(make_map):
+def test_a_volume_is_asked_everywhere_within_its_hull_and_a_path_only_nearby(make_map):
     config = FeatureConfig(spacing=0.1)
-    region = inference_grid(make_map(0), config)
-    assert len(region) == region.grid.n_points
+    field_map = make_map(0)
+    region = infer(field_map, config)
+    assert in_hull(region.positions, field_map.survey.positions).all()
+    inside = in_hull(region.grid.points(), field_map.survey.positions)
+    assert len(region) == inside.sum() > 0.55 * region.grid.n_points
     config = FeatureConfig(spacing=0.04)
-    path = inference_grid(make_map(0, x=circle()), config)
+    path = infer(make_map(0, x=circle()), config)
     assert len(path) < path.grid.n_points / 2
     distance = np.linalg.norm(path.positions[:, None] - circle(), axis=2).min(axis=1)
     # A sample's own cell is up to half a diagonal away from it.
     assert distance.max() < (config.path_radius + 0.9) * 0.04
 
 
+def test_the_grid_follows_the_survey_and_the_normal_of_a_flat_one(make_map):
+    T = random_transform(np.random.default_rng(3))
+    axes = infer(make_map(0), FeatureConfig(spacing=0.2)).grid.T_map_grid.rotation
+    assert axes.magnitude() < 1e-12
+    rng = np.random.default_rng(1)
+    flat = np.column_stack([rng.uniform(0, [2.4, 2.0], (400, 2)), rng.uniform(0.3, 0.32, 400)])
+    inferred = infer(make_map(0, T, x=flat), FeatureConfig(spacing=0.1))
+    assert min(inferred.grid.shape) == 1
+    height = T.apply(inferred.positions)[:, 2]
+    np.testing.assert_allclose(height, 0.31, atol=0.002)
+    assert len(inferred) > 300
+
+
+def test_principal_axes_turn_with_the_survey(make_map):
+    field_map = make_map(0)
+    inferred = infer(field_map, FeatureConfig(spacing=0.2, axes="principal"))
+    assert (inferred.grid.T_map_grid.rotation * field_map.T_map_model.rotation.inv()).magnitude() < 1e-12
+
+
+def test_a_stated_spacing_is_used_or_refused(make_map):
+    field_map = make_map(0)
+    assert infer(field_map, FeatureConfig(spacing=0.1234)).spacing == 0.1234
+    with pytest.raises(ConfigurationError, match=r"spacing: 0\.01 m needs \d+ .* max_points = 40000"):
+        infer(field_map, FeatureConfig(spacing=0.01))
+
+
 @pytest.mark.parametrize("kind", ["region", "path"])
 def test_the_kind_of_grid_can_be_chosen(make_map, kind):
     field_map = make_map(0, x=circle())
     config = FeatureConfig(spacing=0.2, grid=kind)
-    points = inference_grid(field_map, config)
+    points = infer(field_map, config)
     assert field_map.knows(points.positions).all()
     near = np.linalg.norm(points.positions[:, None] - circle(), axis=2).min(axis=1) < 0.8
     assert near.all() == (kind == "path")
@@ -38,14 +69,14 @@ def test_the_kind_of_grid_can_be_chosen(make_map, kind):
 
 def test_only_points_that_the_map_knows_are_asked(make_map):
     field_map = make_map(0, x=circle())
-    assert field_map.knows(inference_grid(field_map, FeatureConfig(spacing=0.1)).positions).all()
+    assert field_map.knows(infer(field_map, FeatureConfig(spacing=0.1)).positions).all()
 
 
 @pytest.mark.parametrize("kind", ["auto", "region", "path"])
 def test_the_number_of_points_is_bounded(make_map, kind):
-    config = FeatureConfig(spacing=0.01, max_points=2000, grid=kind)
+    config = FeatureConfig(spacing_in_lengthscales=0.02, max_points=2000, grid=kind)
     field_map = make_map(0)
-    assert 500 < len(inference_grid(field_map, config)) <= 2000
+    assert 500 < len(infer(field_map, config)) <= 2000
     assert grid_spacing(field_map, config) > 0.05
 
 
@@ -57,7 +88,7 @@ def test_spacing_follows_the_lengthscale(make_map):
 
 @pytest.mark.parametrize("kind", ["region", "path"])
 def test_support_is_what_lies_within_the_radius(make_map, kind):
-    points = inference_grid(make_map(0, x=circle()), FeatureConfig(spacing=0.15, grid=kind))
+    points = infer(make_map(0, x=circle()), FeatureConfig(spacing=0.15, grid=kind))
     rows = np.arange(0, len(points), 7)
     neighbours, distance = points.support(rows, 2.5)
     offset = points.positions[neighbours] - points.positions[rows][:, None]
@@ -73,10 +104,11 @@ def test_four_spacings_hold_257_points():
     assert len(ball_offsets(4.0)) == 257
 
 
-def test_values_are_those_at_the_points_whichever_way_they_are_asked(make_map):
+@pytest.mark.parametrize("axes", ["survey", "principal"])
+def test_values_are_those_at_the_points_whichever_way_they_are_asked(make_map, axes):
     for x in (None, circle()):
         field_map = make_map(0, x=x)
-        points = inference_grid(field_map, FeatureConfig(spacing=0.15))
-        asked, direct = evaluate_at(field_map, points), field_map.evaluate(points.positions, 2)
+        points = infer(field_map, FeatureConfig(spacing=0.15, axes=axes))
+        asked, direct = points.values, field_map.evaluate(points.positions, 2)
         np.testing.assert_allclose(asked.field, direct.field, atol=1e-15)
         np.testing.assert_allclose(asked.second, direct.second, atol=1e-12)

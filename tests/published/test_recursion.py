@@ -1,14 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published recursion: printed equations, order of samples, and what its variances do far away."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.inducing.kernels import DivergenceFreeKernel
+from magmatch.data.survey import Survey
+from magmatch.errors import ConfigurationError
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.inducing.inducing_prior import InducingConfig, InducingPrior
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.published.recursion import RecursiveField, recursively
 from oracles.dense import DenseGP
-from oracles.recursive import RecursiveSparseGP
 
 laws = settings(deadline=None, max_examples=10)
 KERNEL = DivergenceFreeKernel(0.7, 12e-6)
@@ -36,7 +43,7 @@ def as_printed(points, field, jitter):
 
 def test_recursion_is_the_printed_one():
     points, field = samples_of(0)
-    state = RecursiveSparseGP.start(KERNEL, U, NOISE, jitter=1e-9)
+    state = RecursiveField.start(KERNEL, U, NOISE, jitter=1e-9)
     for i in range(len(points)):
         state = state.update(points[i : i + 1], field[i : i + 1])
     inverse, mu, Sigma = as_printed(points, field, 1e-9)
@@ -54,7 +61,7 @@ def test_recursion_is_the_printed_one():
 @given(st.integers(0, 1000), st.integers(1, 29))
 def test_order_and_blocks_of_samples_do_not_matter(seed, cut):
     points, field = samples_of(seed)
-    start = RecursiveSparseGP.start(KERNEL, U, NOISE, constant_sd=1e-4)
+    start = RecursiveField.start(KERNEL, U, NOISE, constant_sd=1e-4)
     order = np.random.default_rng(seed).permutation(30)
     at_once = start.update(points, field)
     in_two = start.update(points[order[:cut]], field[order[:cut]]).update(points[order[cut:]], field[order[cut:]])
@@ -63,7 +70,7 @@ def test_order_and_blocks_of_samples_do_not_matter(seed, cut):
 
 
 def test_update_leaves_the_old_belief_alone():
-    start = RecursiveSparseGP.start(KERNEL, U, NOISE)
+    start = RecursiveField.start(KERNEL, U, NOISE)
     start.update(*samples_of(2))
     assert not start.white_mean.any()
     np.testing.assert_array_equal(start.white_covariance, np.eye(3 * len(U) + 3))
@@ -72,7 +79,7 @@ def test_update_leaves_the_old_belief_alone():
 def test_inducing_points_at_the_samples_give_the_exact_model():
     points, field = samples_of(5)
     exact = DenseGP.fit(KERNEL, points, field, NOISE, constant_sd=1e-4)
-    state = RecursiveSparseGP.start(KERNEL, points, NOISE, constant_sd=1e-4, jitter=1e-11).update(points, field)
+    state = RecursiveField.start(KERNEL, points, NOISE, constant_sd=1e-4, jitter=1e-11).update(points, field)
     queries = samples_of(6, 9)[0]
     np.testing.assert_allclose(state.mean(queries).field, exact.mean(queries).field, atol=1e-6 * 1e-5)
     prior_constant = 1e-8 * np.eye(3)
@@ -81,14 +88,14 @@ def test_inducing_points_at_the_samples_give_the_exact_model():
 
 
 def test_published_variance_vanishes_far_away_and_dtc_returns_to_the_prior():
-    state = RecursiveSparseGP.start(KERNEL, U, NOISE).update(*samples_of(7))
+    state = RecursiveField.start(KERNEL, U, NOISE).update(*samples_of(7))
     far = np.array([[30.0, 0.0, 0.0]])
     np.testing.assert_allclose(state.sor_covariance(far), 0, atol=1e-30)
     np.testing.assert_allclose(state.dtc_covariance(far)[0], KERNEL.at_one_point(), rtol=1e-12)
 
 
 def test_derivatives_are_finite_differences():
-    state = RecursiveSparseGP.start(KERNEL, U, NOISE).update(*samples_of(8))
+    state = RecursiveField.start(KERNEL, U, NOISE).update(*samples_of(8))
     queries, h = samples_of(9, 4)[0], 1e-5
     for k, e in enumerate(np.eye(3)):
         up, down = state.mean(queries + h * e, 1), state.mean(queries - h * e, 1)
@@ -99,9 +106,55 @@ def test_derivatives_are_finite_differences():
 
 def test_noise_must_be_positive():
     with pytest.raises(ValueError, match="expected a positive noise_sd, got 0"):
-        RecursiveSparseGP.start(KERNEL, U, 0.0)
+        RecursiveField.start(KERNEL, U, 0.0)
 
 
 def test_coinciding_inducing_points_are_refused_with_the_smallest_eigenvalue():
     with pytest.raises(ValueError, match=r"not positive definite .*smallest eigenvalue"):
-        RecursiveSparseGP.start(KERNEL, np.concatenate([U, U]), NOISE, jitter=0.0)
+        RecursiveField.start(KERNEL, np.concatenate([U, U]), NOISE, jitter=0.0)
+
+
+@laws
+@given(st.integers(0, 1000))
+def test_one_sample_at_a_time_gives_what_all_at_once_give(seed):
+    points, field = samples_of(seed)
+    start = RecursiveField.start(KERNEL, U, NOISE, constant_sd=1e-4)
+    one_by_one, at_once = start.update_each(points, field), start.update(points, field)
+    np.testing.assert_allclose(one_by_one.inducing_mean, at_once.inducing_mean, atol=1e-8 * 12e-6)
+    np.testing.assert_allclose(one_by_one.white_covariance, at_once.white_covariance, atol=1e-8)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    """A map of the published prior with a zero mean, all samples at once."""
+    points, field = samples_of(10, 60)
+    numbers = {"lengthscale": 0.7, "signal_sd": 12e-6, "noise_sd": NOISE, "spacing": 0.6}
+    config = FieldConfig(prior="divergence_free", leave_out_outliers=False, **numbers)
+    field_map = build_map(Survey(points, field), config)
+    prior = InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, InducingConfig(constant_sd=0.0))
+    p_model = field_map.survey.transformed(field_map.T_map_model.inv())
+    model = prior.build(p_model.positions, p_model.field, field_map.hyperparameters)
+    return replace(field_map, posterior=model.fit(p_model.positions, p_model.field, {}, map))
+
+
+def test_a_map_inferred_recursively_is_the_batch_form_with_zero_mean(batch):
+    found, queries = recursively(batch), samples_of(11, 20)[0]
+    for one, other in (
+        (getattr(m.evaluate(queries, 2), name) for m in (found, batch)) for name in ("field", "gradient", "second")
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(other).max())
+    # The printed variance lacks what the inducing points cannot represent.
+    lacking = np.linalg.eigvalsh(batch.covariance(queries) - found.covariance(queries))
+    assert lacking.min() > -1e-6 * 144e-12
+    assert np.abs(found.covariance([[50.0, 0, 0]])).max() < 1e-30 < batch.covariance([[50.0, 0, 0]]).max()
+
+
+def test_draws_of_a_recursive_map_scatter_as_its_batch_form(batch):
+    found = recursively(batch).posterior
+    np.testing.assert_allclose(found.factor, batch.posterior.factor, atol=1e-6 * np.abs(batch.posterior.factor).max())
+
+
+def test_a_map_of_another_prior_cannot_be_inferred_recursively(batch):
+    other = replace(batch, config=batch.config.model_copy(update={"prior": "spline"}))
+    with pytest.raises(ConfigurationError, match="of the prior 'divergence_free', got a map of 'spline'"):
+        recursively(other)

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import exp_se3, random_transform
-from magmatch.registration.decide.fitness import alignment_fitness, mean_misalignment
+from magmatch.published.fitness import FitnessConfig, fitness, mean_misalignment
 
 
 def test_equal_directions_have_no_misalignment():
@@ -35,8 +35,8 @@ def test_vanishing_fields_agree_with_nothing():
 def test_the_true_pose_is_fit_and_a_wrong_one_is_not(make_exact_pair):
     T = random_transform(np.random.default_rng(1))
     base, target = make_exact_pair(1, T)
-    right = alignment_fitness(base, target.survey, T)
-    wrong = alignment_fitness(base, target.survey, T * exp_se3(np.array([0, 0, 0.5, 0, 0, 0])))
+    right = fitness(base, target.survey, T)
+    wrong = fitness(base, target.survey, T * exp_se3(np.array([0, 0, 0.5, 0, 0, 0])))
     assert right.value < 0.02
     assert right.overlap == 1.0
     assert wrong.value > 5 * right.value
@@ -45,7 +45,15 @@ def test_the_true_pose_is_fit_and_a_wrong_one_is_not(make_exact_pair):
 def test_partial_overlap_is_counted_and_none_is_never_fit(make_exact_pair):
     T = random_transform(np.random.default_rng(1))
     base, target = make_exact_pair(1, T)
-    aside = alignment_fitness(base, target.survey, RigidTransform.from_translation([1.5, 0, 0]) * T)
+    aside = fitness(base, target.survey, RigidTransform.from_translation([1.5, 0, 0]) * T)
     assert 0.3 < aside.overlap < 0.9
-    away = alignment_fitness(base, target.survey, RigidTransform.from_translation([50, 0, 0]) * T)
+    away = fitness(base, target.survey, RigidTransform.from_translation([50, 0, 0]) * T)
     assert (away.value, away.overlap) == (1.0, 0.0)
+
+
+def test_the_printed_check_is_a_mean_cross_product(make_exact_pair):
+    T = random_transform(np.random.default_rng(1))
+    base, target = make_exact_pair(1, T)
+    check = fitness(base, target.survey, T * exp_se3(np.array([0, 0, 0.05, 0, 0, 0])))
+    assert check.passes(FitnessConfig(max_cross=1.01 * check.cross))
+    assert not check.passes(FitnessConfig(max_cross=0.99 * check.cross, max_fitness=9.0))

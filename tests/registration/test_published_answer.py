@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from magmatch.geometry import random_transform
-from magmatch.registration.decide.fitness import Fitness
-from magmatch.registration.published.fitness_decision import FitnessConfig, by_fitness, decide_by_fitness
-from magmatch.registration.result import Links, Status
-from magmatch.registration.search.candidate import SearchResult
+from magmatch.published.fitness import Fitness, FitnessConfig
+from magmatch.registration.published_answer import state_check, verdict_of
+from magmatch.registration.result import Status
 
 CONFIG = FitnessConfig()
 
@@ -23,20 +22,18 @@ CONFIG = FitnessConfig()
     ],
 )
 def test_published_rule_looks_at_fitness_and_overlap_alone(fitness, overlap, status):
-    assert decide_by_fitness(fitness, overlap, CONFIG).status is status
+    check = None if fitness is None else Fitness(fitness, overlap)
+    assert verdict_of(check, CONFIG).status is status
 
 
 def test_the_answer_is_the_best_consensus_or_a_refusal_that_shows_all():
     rng = np.random.default_rng(0)
     poses = random_transform(rng), random_transform(rng)
-    links = Links(np.zeros((2, 3)), np.ones((2, 3)))
-    found = SearchResult(poses, 30, 20, 10, links)
-    accepted = by_fitness(found, Fitness(0.05, 0.7), CONFIG)
+    accepted = state_check(poses, Fitness(0.05, 0.7), CONFIG)
     assert accepted.T_base_target is poses[0]
-    assert (accepted.fitness, accepted.overlap, accepted.n_inliers, accepted.links) == (0.05, 0.7, 10, links)
-    assert (accepted.n_keypoints, accepted.n_correspondences, accepted.alternatives) == (30, 20, ())
-    refused = by_fitness(found, Fitness(0.5, 0.7), CONFIG)
+    assert (accepted.fitness, accepted.overlap, accepted.alternatives) == (0.05, 0.7, ())
+    refused = state_check(poses, Fitness(0.5, 0.7), CONFIG)
     assert refused.T_base_target is None
     assert [a.T_base_target for a in refused.alternatives] == list(poses)
-    nothing = by_fitness(SearchResult(), None, CONFIG)
+    nothing = state_check((), None, CONFIG)
     assert (nothing.status, nothing.overlap) == (Status.UNINFORMATIVE, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Vector MSAC: the rigid transform that most correspondences agree on, by their points and by their field vectors."""
+"""`consensus`: vector MSAC, the rigid transform that most matches agree on by points and by field vectors."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,10 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.distinct import distinct_poses
+from magmatch.features.features import Features
 from magmatch.geometry import rotation_matrix, transform_of, unit_vectors
-from magmatch.registration.search.invariant_search import distinct_poses
+from magmatch.published.matching import Matches
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vector3, Vectors
 
@@ -42,11 +44,23 @@ class ConsensusConfig(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Consensus:
-    """A transform and the correspondences that support it."""
+    """A transform and the matches that support it.
+
+    Attributes
+    ----------
+    T_base_target : RigidTransform
+    cost : float
+        Mean truncated cost over all matches, 0 (all agree) to 1 (none does).
+    is_inlier : (c,) array of bool
+        Which matches support it.
+    """
 
     T_base_target: RigidTransform
-    cost: float  # mean truncated cost over all correspondences, 0 (all agree) to 1 (none does)
-    is_inlier: Mask  # (c,) bool
+    cost: float
+    is_inlier: Mask
+
+    def __repr__(self) -> str:
+        return f"Consensus(cost {self.cost:.3g}, {int(self.is_inlier.sum())} of {len(self.is_inlier)} matches)"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,6 +72,45 @@ class _Pairs:
     base_direction: Vectors
     target_direction: Vectors
     vector_weight: float
+
+
+def consensus(
+    base: Features,
+    target: Features,
+    matches: Matches,
+    spacing: float,
+    config: ConsensusConfig | None = None,
+    seed: int = 0,
+) -> list[Consensus]:
+    """Find transforms that align the keypoints and the field vectors of many matches.
+
+    Parameters
+    ----------
+    base, target : Features
+        Keypoints of both maps.
+    matches : Matches
+        Which of them correspond.
+    spacing : float, m
+        Distance of neighbouring points of X*: the unit of `ConsensusConfig.inlier_distance`.
+    config : ConsensusConfig, optional
+        How hypotheses are drawn and judged.
+    seed : int
+        Of the draws.
+
+    Returns
+    -------
+    list of Consensus
+        Distinct transforms, lowest cost first; empty if none has enough inliers.
+
+    References
+    ----------
+    P. Torr, A. Zisserman, MLESAC, Computer Vision and Image Understanding 78(1), 2000 (MSAC).
+    """
+    config, a, b = config or ConsensusConfig(), matches.base_rows, matches.target_rows
+    return vector_msac(
+        base.positions[a], target.positions[b], base.field[a], target.field[b],
+        config.inlier_distance * spacing, config, np.random.default_rng(seed),
+    )  # fmt: skip
 
 
 def vector_msac(

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The published method as a whole, on maps made from samples, and with parts of one's own."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.data.survey import Survey
+from magmatch.features.config import FeatureConfig
+from magmatch.features.infer import grid_spacing
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
+from magmatch.published import Matches, PublishedConfig, fitness, register
+from magmatch.published.register import comparable
+from magmatch.registration.config import PRESETS
+
+CONFIG = PublishedConfig()
+T_BASE_TARGET = random_transform(np.random.default_rng(11))
+FIELD = FieldConfig(prior="divergence_free", lengthscale=0.6, signal_sd=2e-5, noise_sd=0.6e-6, spacing=0.45)
+
+
+def survey_of(source, seed, T_world_survey, n=700):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(0, [3, 3, 0.6], (n, 3))
+    b = source(x) + 0.5e-6 * rng.standard_normal((n, 3))
+    T = T_world_survey.inv()
+    return Survey(transform_points(x, T), rotate_vectors(b, T))
+
+
+def room(seed, n=40):
+    rng = np.random.default_rng(seed)
+    p = rng.uniform([-1, -1, -1], [4, 4, 1.6], (40 * n, 3))
+    p = p[np.linalg.norm(p - np.clip(p, 0, [3, 3, 0.6]), axis=1) > 0.35][:n]
+    m = 3e-6 * rng.normal(size=(n, 3))
+
+    def field(x):
+        r = x[:, None] - p
+        d = np.linalg.norm(r, axis=2)[..., None]
+        total = (3 * (r * m).sum(axis=2, keepdims=True) * r / d**5 - m / d**3).sum(axis=1)
+        return total + np.array([18e-6, 3e-6, -45e-6])
+
+    return field
+
+
+@pytest.fixture(scope="module")
+def base_map():
+    return build_map(survey_of(room(2), 1, RigidTransform.identity()), FIELD)
+
+
+@pytest.fixture(scope="module")
+def target_map():
+    return build_map(survey_of(room(2), 2, T_BASE_TARGET), FIELD)
+
+
+def test_the_published_method_finds_a_random_transform(base_map, target_map):
+    T = T_BASE_TARGET
+    found = register(base_map, target_map)
+    assert found.is_accepted
+    distance, angle = transform_error(found.T_base_target, T, target_map.survey.centroid)
+    assert distance < 0.06
+    assert np.degrees(angle) < 2
+    assert found.check.value < 0.05
+    n_keypoints = len(found.base) + len(found.target)
+    assert 50 < found.inliers.sum() <= len(found.matches) < n_keypoints
+    p_base = found.base.positions[found.matches.base_rows[found.inliers]]
+    p_target = found.target.positions[found.matches.target_rows[found.inliers]]
+    assert np.all(np.linalg.norm(found.T_base_target.apply(p_target) - p_base, axis=1) < 0.3)
+    assert len(repr(found).splitlines()) <= 3
+
+
+def test_to_the_letter_the_method_finds_it_too(base_map, target_map):
+    found = register(base_map, target_map, config=PRESETS["paper-literal"].keypoints)
+    assert found.is_accepted
+    distance, angle = transform_error(found.T_base_target, T_BASE_TARGET, target_map.survey.centroid)
+    assert distance < 0.06
+    assert np.degrees(angle) < 3
+    assert found.config.features.component_range == 0.01
+
+
+def test_different_rooms_share_little(base_map):
+    other = build_map(survey_of(room(77), 3, RigidTransform.identity()), FIELD)
+    found = register(base_map, other)
+    checks = [fitness(base_map, other.survey, c.T_base_target) for c in found.candidates]
+    assert all(check.value > 0.1 or check.overlap < 0.3 for check in checks)
+    assert (found.T_base_target is None) == (not found.is_accepted)
+
+
+def test_nothing_in_common_is_a_result(base_map):
+    nothing = CONFIG.model_copy(update={"features": FeatureConfig(min_frame_strength=0.999)})
+    found = register(base_map, base_map, config=nothing)
+    assert found.candidates == ()
+    assert found.check is found.T_base_target is None
+    assert len(found.inliers) == len(found.matches) == 0
+
+
+def test_both_maps_are_asked_at_one_spacing_and_over_one_range(base_map):
+    finer = build_map(survey_of(room(2), 4, RigidTransform.identity()), FIELD.model_copy(update={"lengthscale": 0.4}))
+    shared = comparable(base_map, finer, CONFIG)
+    assert shared.features.spacing == grid_spacing(base_map, FeatureConfig()) > grid_spacing(finer, FeatureConfig())
+    assert comparable(finer, base_map, CONFIG) == shared
+
+
+def test_the_same_seed_gives_the_same_bits(base_map, target_map):
+    one, other = (register(base_map, target_map, seed=5) for _ in range(2))
+    assert np.array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
+
+
+def test_a_detector_a_descriptor_and_a_matcher_of_ones_own_are_used(base_map, target_map):
+    """Every fifth point is a keypoint, known by the strength of its field; all match the first one of the base."""
+
+    def detector(inferred):
+        return np.arange(0, len(inferred), 5)
+
+    def descriptor(inferred, frames):
+        return np.linalg.norm(inferred.field[frames.rows], axis=1)[:, None]
+
+    def matcher(base, target):
+        assert base.shape[1] == target.shape[1] == 1
+        rows = np.arange(len(target))
+        return Matches(0 * rows, rows, np.zeros(len(rows)))
+
+    found = register(base_map, target_map, detector=detector, descriptor=descriptor, matcher=matcher)
+    assert len(found.target) == len(found.matches)
+    np.testing.assert_allclose(found.base.descriptors[:, 0], np.linalg.norm(found.base.field, axis=1))
+    assert not found.candidates
