@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Count what is refused in the tests: bad calls, options and files, each with one sentence and no traceback.
 
-Run: python tests/count_refusals.py. It runs these tests (three minutes) and prints the table of docs/limits.md.
+Run: python tests/count_refusals.py. It runs these tests (three minutes) and prints a table.
 """
 
 import os

@@ -130,7 +130,7 @@ def test_close_inducing_points_come_close_to_the_exact_model(samples):
     model = PRIOR.build(points, field, replace(H, spacing=0.6 * H.lengthscale))
     posterior = model.infer(model.observe(points, field))
     error = posterior.evaluate(queries()).field - exact.mean(queries()).field
-    # A tenth of the noise; wider nodes lose more (docs/notebook/field.md).
+    # A tenth of the noise; wider nodes lose more (docs/tried.md).
     assert np.sqrt((error**2).mean()) < 0.1 * H.noise_sd
 
 

@@ -32,7 +32,7 @@ _AFFORDABLE_WIDENING = 1.3
 class InducingConfig(Settings):
     """Settings of a Gaussian process over inducing points."""
 
-    # Spacing of the inducing points over the lengthscale; docs/notebook/field.md has the figures.
+    # Spacing of the inducing points over the lengthscale; docs/tried.md has figures.
     spacing_ratio: float = Field(default=0.7, gt=0)
     # Closer nodes add nothing but rounding, whatever spacing is asked for.
     min_spacing_ratio: float = Field(default=0.5, gt=0)

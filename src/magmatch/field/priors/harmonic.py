@@ -37,7 +37,7 @@ _STEP, _MOST_STEPS, _FINEST_STEP = float(np.sqrt(2)), 8, 1.3
 class HarmonicConfig(Settings):
     """Settings of the equivalent sources."""
 
-    # Spacing of the charges over their distance from the samples; denser gained nothing (docs/notebook/field.md).
+    # Spacing of the charges over their distance from the samples; denser gained nothing (docs/tried.md).
     spacing_ratio: float = Field(default=0.5, gt=0)
     # Most charges; more moves the layer out and the charges apart.
     max_sources: int = Field(default=2000, ge=8)
