@@ -168,3 +168,16 @@ def test_an_option_in_advice_about_one_of_two_surveys_is_that_surveys_own():
     said = diagnosis({"base": log("hand"), "target": wrong})
     assert "--target-extrinsic '0 0 0 " in said
     assert "--target-columns bx=by,by=bx,bz=-bz" in said
+
+
+@pytest.mark.parametrize(("lag", "tilt", "spin"), [(10, 0.3, 1.1), (10, 0.6, 1.1), (-14, 0.6, 0.7)])
+def test_readings_that_come_late_or_early_are_neither_a_mount_nor_another_frame(lag, tilt, spin):
+    rng, n = np.random.default_rng(0), 600
+    t = 0.05 * np.arange(n)
+    q = Rotation.from_euler("zyx", np.column_stack([spin * t, tilt * np.sin(0.9 * t), tilt * np.cos(0.7 * t)]))
+    x = np.column_stack([3 * np.sin(0.31 * t), 2 * np.sin(0.47 * t), 1 + 0.2 * np.sin(0.2 * t)])
+    field = np.array([18e-6, 3e-6, -40e-6]) + 1e-6 * np.sin(1.5 * x)
+    read = q.apply(field, inverse=True) + rng.normal(0, 2e-7, (n, 3))
+    (told,) = diagnose(Survey(x, q.apply(np.roll(read, lag, axis=0)), t, q).subset(slice(20, -20)))
+    assert f"{abs(lag) / 20:.1g} s {'late' if lag > 0 else 'early'}" in str(told)
+    assert not told.is_of_frames

@@ -82,3 +82,34 @@ def test_without_orientations_a_component_that_is_one_value_is_named():
 def test_readings_held_by_a_sensor_that_turns_are_repeats():
     survey = hand_held(lambda b: b[np.arange(N) // 3 * 3])
     assert any("67 % of the samples repeat the field" in words for words in check_survey(survey))
+
+
+ALIKE = {
+    "the same": lambda b: b[:, [0, 0, 2]],
+    "reversed": lambda b: b[:, [0, 0, 2]] * [1, -1, 1],
+    "noise apart": lambda b: b[:, [0, 0, 2]] + np.random.default_rng(1).normal(0, 0.1 * UT, (N, 3)),
+}
+
+
+@pytest.mark.parametrize("case", ALIKE)
+def test_two_axes_that_read_the_same_are_named(case):
+    (words,) = stuck_axes(hand_held(ALIKE[case]))
+    assert words.startswith("the sensor's x axis and the sensor's y axis read the same")
+
+
+@pytest.mark.parametrize("share", [0.15, 0.5])
+def test_an_axis_that_is_stuck_for_a_while_is_named_with_its_times(share):
+    held = np.arange(N)[:, None] > (1 - share) * N
+    (words,) = stuck_axes(hand_held(with_axis(1, lambda b: np.where(held, 2 * UT, b))))
+    assert words.startswith("the sensor's y axis reads 2 uT from")
+    assert words.endswith("to 59.95 s, though it turned")
+
+
+def test_rows_of_zeros_are_no_end_of_a_range():
+    survey = hand_held(lambda b: b * (np.arange(N) % 7 > 0)[:, None])
+    assert not any("end of its range" in words for words in check_survey(survey))
+
+
+def test_a_limit_is_said_once_however_it_was_turned():
+    (words,) = [w for w in check_survey(hand_held(with_axis(2, lambda b: np.minimum(b, -26 * UT)))) if "axis" in w]
+    assert words.count("uT") == 1

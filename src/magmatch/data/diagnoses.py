@@ -15,7 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.frame_mistakes import AXES, DECLARED, LESS, OWN, Found, Hypothesis, Turned, mistake_made, named
+from magmatch.data.frame_mistakes import (
+    AXES,
+    DECLARED,
+    LESS,
+    OWN,
+    Found,
+    Hypothesis,
+    Turned,
+    lag_instead,
+    mistake_made,
+    named,
+)
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
@@ -45,8 +56,8 @@ PLAUSIBLE_BEND = 35.0
 class Diagnosis:
     """One error of a survey."""
 
-    # ``field frame``, ``orientations``, ``axes``, ``two frames``, ``heading``, ``turning``, ``vertical``
-    # or ``magnitude``
+    # ``field frame``, ``orientations``, ``axes``, ``two frames``, ``heading``, ``turning``, ``vertical``,
+    # ``clocks`` or ``magnitude``
     kind: str
     measured: str  # the evidence for it, and what to do
     remedy: str
@@ -57,7 +68,7 @@ class Diagnosis:
     @property
     def is_of_frames(self) -> bool:
         """Whether vectors are in a wrong frame, which no calibration of the sensor corrects."""
-        return self.kind != "magnitude"
+        return self.kind not in {"magnitude", "clocks"}
 
 
 # Mistakes that the field shows, by what undoes them: kind, how vectors read where it was made, remedy.
@@ -143,7 +154,11 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
         q = Rotation.from_euler("z", walked.heading[:, None])
         conventions = {DECLARED: Turned(field, None, q), "carried": Turned(field, q, q)}
     found = mistake_made(survey.positions, conventions) if conventions else None
-    if found is not None:
+    if found is not None and (lag := _lag(survey, found, conventions)) is not None:
+        behind = "late" if lag > 0 else "early"
+        measured = f"the field vectors look about {abs(lag):.1g} s {behind} against the poses"
+        yield Diagnosis("clocks", measured, "magmatch prepare estimates the offset of the clocks")
+    elif found is not None:
         yield _told(found, conventions, heading)
     elif survey.orientations is None:
         if np.linalg.norm(field.mean(axis=0)) < TURNING * np.linalg.norm(field, axis=1).mean():
@@ -151,6 +166,13 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
             yield Diagnosis("turning", measured, MISTAKES["carried"][2])
     elif own >= HALF and walked is not None:
         yield from _of_two_frames(walked, survey.orientations, own)
+
+
+def _lag(survey: Survey, found: Found, conventions: Mapping[str, Turned]) -> float | None:
+    """The offset between the clocks of readings and poses that explains the vectors as well as what was found, s."""
+    if survey.times is None or survey.orientations is None:
+        return None
+    return lag_instead(survey.positions, conventions[DECLARED], survey.times, found)
 
 
 def _of_two_frames(walked: "_Walked", orientations: Rotation, own: float) -> Iterator[Diagnosis]:

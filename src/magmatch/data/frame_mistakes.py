@@ -30,6 +30,8 @@ N_ASKED, N_NEIGHBOURS = 1500, 9
 DISTINCT = 1e-3
 # T: vectors that vary less are equal; smaller differences are rounding.
 RESOLVED = 1e-9
+# s: what `magmatch prepare` searches for an offset of the clocks; and the lags that are tried either way.
+MOST_LAG, N_LAGS = 1.0, 20
 # Deg: a smaller turn between sensor and orientations is misalignment, which `magmatch prepare` estimates.
 MOUNT = 20.0
 # Newton's steps to the best rotation, each of at most so many rad: no rotation is farther than 1.1 from all of AXES.
@@ -118,6 +120,29 @@ def mistake_made(points: Points, conventions: Mapping[str, Turned]) -> Found | N
         if all(part.agrees(found, free=free) for part in parts):
             told.append(found.without({one for one in found.hypotheses if _is_worse(one, found, parts, free=free)}))
     return min(told, key=lambda found: len(found.hypotheses), default=None)
+
+
+def lag_instead(points: Points, declared: Turned, times: Scalars, found: Found) -> float | None:
+    """The lag (s) of the readings behind the poses that scatters as little as what was found; None if none does.
+
+    Of a carrier that turns steadily one way, readings that come late look like those of a sensor mounted turned.
+    """
+    assert declared.turned_by is not None
+    interval = max(float(np.median(np.diff(times))), np.finfo(float).tiny)
+    most = min(int(MOST_LAG / interval), len(points) // N_PARTS)
+    rows = np.unique(np.linspace(-most, most, 2 * min(most, N_LAGS) + 1).round().astype(int))
+    scatter = {int(lag): _Judged.of(*_shifted(points, declared, int(lag))).scatter for lag in rows}
+    as_declared, best = scatter[0], min(scatter, key=lambda lag: min(float(s[0]) for s in scatter[lag]))
+    share = min(float(late[0] / now[0]) for late, now in zip(scatter[best], as_declared, strict=True))
+    return best * interval if best and LESS * share <= found.share else None
+
+
+def _shifted(points: Points, declared: Turned, lag: int) -> tuple[Points, dict[str, Turned]]:
+    """Samples whose readings came so many samples later than their poses."""
+    n = len(points)
+    read, posed = slice(max(lag, 0), n + min(lag, 0)), slice(max(-lag, 0), n - max(lag, 0))
+    turned = declared.turned_by[posed] if declared.turned_by is not None else None
+    return points[posed], {DECLARED: Turned(declared.readings[read], turned, declared.carried_by[posed])}
 
 
 def _is_worse(one: Hypothesis, found: Found, parts: "Sequence[_Judged]", *, free: bool) -> bool:

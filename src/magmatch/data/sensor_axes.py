@@ -12,6 +12,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
+from magmatch.number_text import told
 from magmatch.typing import Indices, Mask, Scalars, Vectors
 
 # Share of the field's size up to which values are one: a turn there and back in float64 leaves 1e-15 of it, one that
@@ -25,6 +26,10 @@ FEWEST_AT_LIMIT, FEWEST_LEVELS = 5, 8
 MOSTLY, BESIDE = 0.5, 0.25
 # An axis that shows less than this share of what turns make of the mean field has no gain worth the name.
 LEAST_GAIN = 0.1
+# An axis is stuck for a while where it reads one value in so many new readings on end, though turns alone would
+# change it by this share of the field.
+LONG, TURNED = 20, 0.5
+ALIKE = "read the same"
 # Share of readings at a limit that is worth a warning: fewer cut off no more than noise does.
 WORTH_SAYING = 0.01
 
@@ -69,12 +74,15 @@ def at_limit(readings: Vectors) -> Mask:
     More are at one largest value than at the next three: noise thins out toward the end, a limit piles values up.
     """
     is_limited = np.zeros(readings.shape, dtype=bool)
-    for axis, levels in enumerate(Levels.of(readings)):
+    sizes = np.linalg.norm(readings, axis=1)
+    # Zero in all axes is a drop-out.
+    rows = np.flatnonzero(sizes > ROUNDING * np.median(sizes))
+    for axis, levels in enumerate(Levels.of(readings[rows])):
         if len(levels.counts) < FEWEST_LEVELS:
             continue
         for end, next_ones in ((0, slice(1, 4)), (len(levels.counts) - 1, slice(-4, -1))):
             if levels.counts[end] >= FEWEST_AT_LIMIT and levels.counts[end] > levels.counts[next_ones].sum():
-                is_limited[:, axis] |= levels.number == end
+                is_limited[rows, axis] |= levels.number == end
     return is_limited
 
 
@@ -82,15 +90,52 @@ def stuck_axes(survey: Survey) -> list[str]:
     """In words, the axes that read one value in most samples, or hardly follow the sensor's turns."""
     names, readings = _names(survey), sensor_readings(survey)
     stuck = {k: f"reads {field_text(v)} in {_share(mask)}" for k, (v, mask) in find_stuck(readings).items()}
-    if survey.orientations is not None:
+    if survey.orientations is None:
+        size = float(np.median(np.linalg.norm(readings, axis=1)))
+        dead = {way: "" for way, b in _ways(readings).items() if float(np.ptp(b)) <= ROUNDING * size}
+    else:
         turned = survey.orientations.apply(survey.field.mean(axis=0), inverse=True)
-        varies, expected = (np.ptp(np.quantile(b, [0.1, 0.9], axis=0), axis=0) for b in (readings, turned))
-        # Of all three, it is the orientations that are wrong.
-        if not (is_dead := varies < LEAST_GAIN * expected).all():
-            sizes = [tuple(field_text(float(v)) for v in pair) for pair in zip(varies, expected, strict=True)]
-            words = "hardly follows the sensor's turns (varies by {}, expected {})"
-            stuck = {k: words.format(*sizes[k]) for k in np.flatnonzero(is_dead).tolist()} | stuck
-    return [f"{names[k]} {words}" for k, words in sorted(stuck.items())]
+        dead = _dead_ways(readings, turned)
+        stuck = {way[0]: words for way, words in dead.items() if len(way) == 1} | stuck
+        stuck = _stuck_for_a_while(readings, turned, survey.times) | stuck
+    pairs = [way for way in dead if len(way) == 3 and not stuck.keys() & {way[0], way[1]}]
+    alike = [f"{names[i]} and {names[k]} {ALIKE}{', reversed' * (s > 0)}" for i, k, s in pairs]
+    return [f"{names[k]} {words}" for k, words in sorted(stuck.items())] + alike
+
+
+def _ways(vectors: Vectors) -> dict[tuple[int, ...], Scalars]:
+    """Each axis, and differences and sums of two: constant where these read the same, or the same reversed."""
+    ways: dict[tuple[int, ...], Scalars] = {(k,): vectors[:, k] for k in range(3)}
+    return ways | {(i, k, s): vectors[:, i] + s * vectors[:, k] for i, k in ((0, 1), (0, 2), (1, 2)) for s in (-1, 1)}
+
+
+def _dead_ways(readings: Vectors, turned: Vectors) -> dict[tuple[int, ...], str]:
+    """In words, the ways in which readings hardly follow what turns make of the mean field; see `_ways`."""
+    dead = {}
+    for (way, read), expected in zip(_ways(readings).items(), _ways(turned).values(), strict=True):
+        varies, most = (float(np.ptp(np.quantile(b, [0.1, 0.9]))) for b in (read, expected))
+        if varies < LEAST_GAIN * most:
+            sizes = f"varies by {field_text(varies)}, expected {field_text(most)}"
+            dead[way] = f"hardly follows the sensor's turns ({sizes})"
+    # Of all three, it is the orientations that are wrong.
+    return {} if {(0,), (1,), (2,)} <= dead.keys() else dead
+
+
+def _stuck_for_a_while(readings: Vectors, turned: Vectors, times: Scalars | None) -> dict[int, str]:
+    """In words, the axes that read one value on end though the sensor turned; not at the end of their range."""
+    is_new, is_limited = ~find_repeats(readings), at_limit(readings)
+    size, found = float(np.median(np.linalg.norm(turned, axis=1))), {}
+    for axis, levels in enumerate(Levels.of(readings)):
+        rows = np.flatnonzero(is_new & ~is_limited[:, axis])
+        starts = np.flatnonzero(np.diff(levels.number[rows], prepend=-1))
+        for run in np.split(rows, starts[1:]):
+            if len(run) >= LONG and float(np.ptp(turned[run, axis])) > TURNED * size:
+                ends = [told(times[k]) if times is not None else f"sample {k}" for k in run[[0, -1]].tolist()]
+                unit = " s" if times is not None else ""
+                value = field_text(float(readings[run[0], axis]))
+                found[axis] = f"reads {value} from {ends[0]} to {ends[1]}{unit}, though it turned"
+                break
+    return found
 
 
 def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
@@ -108,11 +153,14 @@ def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
 def doubt_axes(survey: Survey) -> list[str]:
     """In words, the axes that are stuck, else those that reach the end of their range."""
     if stuck := stuck_axes(survey):
-        return [f"{words}: it is stuck or at the end of its range, nothing is estimated from it" for words in stuck]
+        why = {True: "one axis is written twice", False: "it is stuck or at the end of its range"}
+        return [f"{words}: {why[ALIKE in words]}, nothing is estimated from it" for words in stuck]
     readings, found = sensor_readings(survey), []
     for name, values, is_limited in zip(_names(survey), readings.T, at_limit(readings).T, strict=True):
         if is_limited.mean() >= WORTH_SAYING:
-            ends = " and ".join(dict.fromkeys(field_text(float(v)) for v in np.sort(values[is_limited])))
+            digit = ROUNDING * float(np.median(np.linalg.norm(readings, axis=1)))
+            limits = np.unique(np.round(values[is_limited] / digit)) * digit
+            ends = " and ".join(dict.fromkeys(field_text(float(v)) for v in limits + 0.0))
             found.append(f"{name} is at the end of its range, {ends}, in {_share(is_limited)}: the field is stronger")
     return found
 

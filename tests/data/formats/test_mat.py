@@ -196,3 +196,11 @@ def test_an_array_of_our_name_for_something_else_is_no_column(tmp_path):
     columns = "x=p:1,y=p:2,z=0,bx=y:1,by=y:2,bz=y:3"
     survey = read_survey(v5(tmp_path / "walk.mat", content), SurveyFormat(columns=columns, field_unit="uT"))
     np.testing.assert_array_equal(survey.field, FIELD * 1e-6)
+
+
+def test_a_file_without_arrays_is_said_to_hold_none(tmp_path):
+    import h5py
+
+    h5py.File(tmp_path / "empty.h5", "w").close()
+    with pytest.raises(DataFormatError, match="the file holds none"):
+        read_survey(tmp_path / "empty.h5")

@@ -59,6 +59,10 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
         if missing or not set(names) - {"t"}:
             expected = ", ".join(missing) or "x, y, z, bx, by, bz"
             found = ", ".join(_listing(place, is_v5=is_v5))
+            if not found:
+                raise DataFormatError(
+                    place, f"expected arrays {expected}; the file holds none: was it closed after writing?"
+                )
             raise DataFormatError(place, f"expected arrays {expected}; found {found}. {advice_for_arrays()}")
         chosen = choose_columns(place, names, stated, has_poses=layout.trajectory is None)
         ticks = {name: UNITS_PER_SECOND[layout.time_unit] for name, ours in chosen.ours.items() if ours == "t"}
