@@ -5,20 +5,68 @@ import re
 import runpy
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import magmatch as mm
+
 ROOT = Path(__file__).parents[1]
+
+
+# Lines that show what two libraries do together; the others show one thing.
+LONG = {"07_gtsam_factor": 125}
 
 
 # ros2_node.py needs ROS; tests/localization/test_ros2_node.py runs what of it does not.
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda path: path.stem)
 def test_an_example_runs_and_says_something(example, capsys, monkeypatch, tmp_path):
+    if "gtsam" in example.stem:
+        pytest.importorskip("gtsam")
     # Where figures are saved.
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")
     assert capsys.readouterr().out
-    assert len(example.read_text().splitlines()) < 60
+    assert len(example.read_text().splitlines()) < LONG.get(example.stem, 60)
+
+
+@pytest.fixture(scope="module")
+def factor():
+    """The names of the example with GTSAM, which is not run."""
+    pytest.importorskip("gtsam")
+    return runpy.run_path(str(ROOT / "examples" / "07_gtsam_factor.py"))
+
+
+@pytest.fixture(scope="module")
+def field_map():
+    rng = np.random.default_rng(2)
+    p = rng.uniform(-1, 1, (250, 3))
+    b = np.array([20e-6, 0, -40e-6]) + 5e-6 * np.column_stack([np.sin(3 * p[:, 1]), np.cos(2 * p[:, 0]), p[:, 2]])
+    return mm.build_map(mm.Survey(p, b))
+
+
+def test_the_field_factor_has_the_jacobian_of_its_error(factor, field_map):
+    import gtsam
+
+    rng, h = np.random.default_rng(3), 1e-5
+    for xi in rng.uniform(-0.6, 0.6, (5, 6)) * [5, 5, 5, 1, 1, 1]:
+        T = gtsam.Pose3.Expmap(xi)
+        _, J = factor["predict"](field_map, T)
+        steps = h * np.eye(6)
+        ahead, back = ([factor["predict"](field_map, T.retract(way * d))[0] for d in steps] for way in (1, -1))
+        np.testing.assert_allclose(J, (np.array(ahead) - back).T / (2 * h), atol=1e-5 * np.abs(J).max())
+
+
+def test_the_field_factor_has_the_noise_of_the_map_and_of_the_sensor(factor, field_map):
+    import gtsam
+
+    T, measured = gtsam.Pose3.Expmap(np.array([0.3, -0.8, 2.0, 0.2, -0.4, 0.5])), np.array([30.0, 10.0, -20.0])
+    R, values = T.rotation().matrix(), gtsam.Values()
+    values.insert(7, T)
+    made = factor["field_factor"](7, measured, field_map, T)
+    C = R.T @ field_map.covariance(T.translation()[None])[0] @ R + field_map.hyperparameters.noise_sd**2 * np.eye(3)
+    off = R.T @ field_map.evaluate(T.translation()[None]).field[0] - 1e-6 * measured
+    assert made.error(values) == pytest.approx(off @ np.linalg.solve(C, off) / 2, rel=1e-9)
 
 
 def test_the_quickstart_of_the_readme_runs(capsys, monkeypatch, tmp_path):

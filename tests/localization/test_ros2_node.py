@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 pytest.importorskip("rosbags")
 
-from drifting import Place, drifting_walk
+import magmatch as mm
+from drifting import Place, drifting_walk, trajectory_error
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "ros2_node.py"
 
@@ -50,22 +51,35 @@ def reading(kinds, t, b):
     )
 
 
-@pytest.fixture(scope="module")
-def walked(node, kinds, place):
-    """Answers along a walk whose readings come between poses, with what was true then."""
-    log, truth = drifting_walk(Place(1), 2, laps=0.7, start=2.0, bias=(2e-6, -1e-6, 1e-6))
-    follower = node.Follower(place.field_map, kinds)
+def follow(follower, kinds, log):
+    """Answers along a log whose readings come between poses."""
     field, found = log.orientations.inv().apply(log.field), []
     for n in range(len(log)):
         follower.fields.append(reading(kinds, log.times[n], field[n]))
         T = RigidTransform.from_components(log.positions[n], log.orientations[n])
         # The pose at a reading's time is between those of two messages.
         found.append((n, T, follower.take_odometry(odometry(kinds, log.times[n] + 1e-4, T))))
-    return found, truth, follower
+    return found
+
+
+@pytest.fixture(scope="module")
+def walked(node, kinds, place):
+    """Answers along a walk, with what was true then."""
+    log, truth = drifting_walk(Place(1), 2, laps=0.7, start=2.0, bias=(2e-6, -1e-6, 1e-6))
+    follower = node.Follower(node.InMap(place.field_map), kinds)
+    return follow(follower, kinds, log), truth, follower
+
+
+@pytest.fixture(scope="module")
+def mapped(node, kinds, tmp_path_factory):
+    """The same of a walk of several laps that nothing was known of before, and the node's source after it."""
+    log, truth = drifting_walk(Place(1), 2, laps=4.0, start=2.0, bias=(2e-6, -1e-6, 1e-6))
+    source = node.Mapping(tmp_path_factory.mktemp("made") / "hall.map")
+    return follow(node.Follower(source, kinds), kinds, log), log, truth, source
 
 
 def test_the_example_is_short():
-    assert len(EXAMPLE.read_text().splitlines()) <= 80
+    assert len(EXAMPLE.read_text().splitlines()) <= 120
 
 
 def test_poses_are_where_the_body_was(walked):
@@ -95,7 +109,7 @@ def test_the_transform_takes_odometry_to_the_pose(walked):
 
 
 def test_the_covariance_is_ros_s(walked):
-    now = walked[2].localizer.estimate()
+    now = walked[2].source.localizer.estimate()
     found = np.reshape(walked[0][-1][2][0].pose.covariance, (6, 6))
     R = now.T_map_body.rotation.as_matrix()
     np.testing.assert_allclose(found, found.T)
@@ -104,8 +118,60 @@ def test_the_covariance_is_ros_s(walked):
 
 
 def test_a_bad_reading_is_passed_over(node, kinds, place):
-    follower = node.Follower(place.field_map, kinds)
+    follower = node.Follower(node.InMap(place.field_map), kinds)
     T = RigidTransform.identity()
     for t, b in ((0.0, [2e-5, 0, 4e-5]), (0.1, [np.nan, 0, 0]), (0.05, [2e-5, 0, 4e-5])):
         follower.fields.append(reading(kinds, t, b))
         assert follower.take_odometry(odometry(kinds, t + 0.01, T)) is None
+
+
+def test_drift_is_corrected_while_mapping(mapped):
+    found, log, truth, _ = mapped
+    stated = [n for n, _, made in found if made is not None]
+    assert len(stated) > 0.5 * len(log)
+    places = (found[n][2][0].pose.pose.position for n in stated)
+    live = np.array([[p.x, p.y, p.z] for p in places])
+    half = len(stated) // 2  # of the laps that revisit
+    before = trajectory_error(truth[stated][half:], log.positions[stated][half:])
+    assert trajectory_error(truth[stated][half:], live[half:]) < 0.7 * before
+
+
+def test_nothing_is_said_before_the_field_is_learned(mapped):
+    found = mapped[0]
+    assert found[0][2] is None
+    first = next(n for n, _, made in found if made is not None)
+    assert all(made is not None for _, _, made in found[first:])
+
+
+def test_a_pose_of_mapping_states_its_doubt_and_agrees_with_its_transform(mapped):
+    _, T_odom_body, (pose, frame) = mapped[0][-1]
+    C = np.reshape(pose.pose.covariance, (6, 6))
+    assert np.linalg.eigvalsh(C)[0] > 0
+    t, q = frame.transform.translation, frame.transform.rotation
+    T_map_odom = RigidTransform.from_components([t.x, t.y, t.z], Rotation.from_quat([q.x, q.y, q.z, q.w]))
+    p = pose.pose.pose.position
+    np.testing.assert_allclose((T_map_odom * T_odom_body).translation, [p.x, p.y, p.z], atol=5e-3)
+
+
+def test_the_map_of_the_walk_is_written_at_the_end(mapped, capsys):
+    source = mapped[3]
+    source.finish()
+    assert "closure" in capsys.readouterr().out
+    assert mm.FieldMap.load(source.path).knows(source.session.trajectories[0].positions).all()
+
+
+def test_where_no_map_can_be_written_is_said_before_the_walk(node, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        node.Mapping(tmp_path / "file" / "hall.map")
+
+
+@pytest.mark.parametrize("way", ["walked", "mapped"])
+def test_no_old_pose_is_given_for_a_bad_reading(node, kinds, way, request):
+    (*_, (_, T, made)), *_, last = request.getfixturevalue(way)
+    assert made is not None
+    follower, t = node.Follower(getattr(last, "source", last), kinds), 1e3
+    follower.take_odometry(odometry(kinds, t - 0.1, T))
+    follower.fields.append(reading(kinds, t, [np.nan, 0, 0]))
+    moved = T * RigidTransform.from_translation([0.1, 0, 0])
+    assert follower.take_odometry(odometry(kinds, t + 0.01, moved)) is None
