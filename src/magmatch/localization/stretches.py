@@ -49,7 +49,7 @@ def agreement(a: Sequence[Estimate], b: Sequence[Estimate]) -> tuple[Mask, Mask]
     """Where both directions state a pose, and where these agree, (n,) each."""
     both = np.array([x.is_stated and y.is_stated for x, y in zip(a, b, strict=True)], dtype=np.bool_)
     agree = both.copy()
-    for n in np.flatnonzero(both):
+    for n in np.flatnonzero(both).tolist():
         agree[n] = a[n].map == b[n].map and distance2(a[n], b[n]) <= CONTRADICTION
     return both, agree
 
