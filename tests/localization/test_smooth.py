@@ -78,6 +78,11 @@ def test_a_stretch_that_what_follows_contradicts_stands_only_as_far_as_the_other
     assert standing(at(1, 2, 3, 4, 5), at(2, 3, x=2.0)) == []
 
 
+def test_of_a_stretch_that_stood_before_it_was_contradicted_the_earlier_part_stands():
+    assert standing(at(*range(9)), at()) == [0, 1, 2, 3, 4, 5]
+    assert standing(at(*range(9)), at(*range(9), x=3.0)) == []
+
+
 def test_a_pose_that_became_too_uncertain_contradicts_nothing():
     assert standing(at(1, 2, 3, 4, 5, otherwise=UNCERTAIN), at()) == [1, 2, 3, 4, 5]
 

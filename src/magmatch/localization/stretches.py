@@ -75,11 +75,17 @@ def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, walked: Sca
     """Rows whose poses stand, (n,), of estimates in the direction of travel.
 
     Where both directions state poses and mostly disagree, one of the stretches is wrong, and nothing says which. One
-    that ended in a contradiction, or within the path ``tested`` (m), counts up to where the other direction agrees.
+    that ended within the path ``tested`` (m) counts up to where the other direction agrees; so does one that ended in
+    a contradiction, or up to that path before its end if it had stood before that.
     """
     stands = np.zeros(len(estimates), dtype=np.bool_)
     for one in stretches(estimates):
         met, agreed = both[one.rows], agree[one.rows]
+        if one.is_contradicted:
+            # The contradiction began within the path by which a place is doubted; what stood before that still does.
+            back = np.abs(walked[one.last] - walked[one.rows])
+            if back[0] >= 2 * tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
+                stands[one.rows] = back >= tested
         is_tested = abs(walked[one.last] - walked[one.first]) >= tested and not one.is_contradicted
         if agreed.any() and not is_tested:
             stands[one.first : one.first + int(np.flatnonzero(agreed)[-1]) + 1] = True
