@@ -42,7 +42,7 @@ def test_every_verb_tells_the_same_callback_and_gives_the_same_answer(pair, tmp_
         lambda heard: make_index(tmp_path / "a.map", PRESETS["default"], progress=heard),
         lambda heard: query_map(field_map, at, progress=heard),
         lambda heard: mm.register(tmp_path, pair.target, progress=heard),
-        lambda heard: mm.localize(mm.open_atlas(tmp_path, progress=heard), pair.target, progress=heard),
+        lambda heard: mm.register(mm.open_atlas(tmp_path, progress=heard), pair.target, progress=heard),
     )
     for call in calls:
         call(heard := Heard())

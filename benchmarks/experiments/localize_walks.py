@@ -1,7 +1,7 @@
 """Walks in a known map from an unknown start: first fix, error, wrong fixes, and whether what is stated is true.
 
     python benchmarks/experiments/localize_walks.py --data DIR --out DIR [--sets cea1,infcenter,museum] [--n 20]
-        [--cases outside,stairs] [--smooth] [--quick] [--save NAME]
+        [--cases outside,stairs] [--live] [--quick] [--save NAME]
 
 DIR holds ``cea/corridor_*.csv``: walk one is the map, walk two is walked with its true field and with odometry that
 is made up (drift, scale, a phone that is tilted, a sensor's bias); ``dodolilo/infcenter`` and ``ipin2023/pdr``: walks
@@ -32,7 +32,6 @@ import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.geometry import path_walked
 from magmatch.localization.localize import localize
-from magmatch.localization.smooth import smooth as localize_smoothly
 from magmatch.registration.index.map_index import make_index, open_index
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
@@ -251,7 +250,7 @@ def changed(rows, error, walked, is_stated, leaves, back):
     }
 
 
-def work(name, data, out, smooth):
+def work(name, data, out, live):
     place_name, case, seed = name.split(": ")
     place = place_of(place_name, data, out)
     if place_name.startswith("cea"):
@@ -259,7 +258,7 @@ def work(name, data, out, smooth):
         truth = np.c_[log.times, p]
     else:
         (log, truth), ends = real_walk(case, data), None
-    track, seconds, _ = timed(localize_smoothly if smooth else localize, place, log, mm.LocalizerConfig())
+    track, seconds, _ = timed(localize, place, log, mm.LocalizerConfig(), live=live)
     seconds -= track.seconds["map"]
     walked = path_walked(log.positions)
     stated = np.flatnonzero(track.is_stated)
@@ -353,15 +352,15 @@ def cost(place, data):
 
 def main() -> None:
     asked = arguments(
-        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", cases=",".join(CASES), n=20, smooth=False,
+        __doc__, data=Path, out=Path, sets="cea1,infcenter,museum", cases=",".join(CASES), n=20, live=False,
         quick=False, jobs=os.cpu_count(), save=saver,
     )  # fmt: skip
     asked.out.mkdir(parents=True, exist_ok=True)
     wanted = list(names(asked.sets.split(","), 1 if asked.quick else asked.n, asked.cases.split(",")))
     for place in dict.fromkeys(name.split(": ")[0] for name in wanted):
         place_of(place, asked.data, asked.out)
-    file = asked.out / ("smooth.jsonl" if asked.smooth else "walks.jsonl")
-    rows = kept(file, wanted, partial(work, data=asked.data, out=asked.out, smooth=asked.smooth), jobs=asked.jobs)
+    file = asked.out / ("live.jsonl" if asked.live else "walks.jsonl")
+    rows = kept(file, wanted, partial(work, data=asked.data, out=asked.out, live=asked.live), jobs=asked.jobs)
     groups = {}
     for name in wanted:
         place, case, _ = name.split(": ")

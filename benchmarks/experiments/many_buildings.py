@@ -147,7 +147,7 @@ def judge(atlas: mm.Atlas, sizes: list[int], target: mm.Survey, name: str, rng: 
     T_base_target = random_transform(rng)
     moved, found = target.transformed(T_base_target.inv()), []
     for n in sizes:
-        result, *seconds = timed(mm.localize, among(atlas, n, name, is_absent=is_absent), moved)
+        result, *seconds = timed(mm.register, among(atlas, n, name, is_absent=is_absent), moved)
         distance, angle = pose_error(result, T_base_target, moved.centroid)
         is_right = result.base == name and distance <= MAX_M and np.degrees(angle) <= MAX_DEG
         found.append((result.base == name, is_right, result.is_accepted, seconds, str(result.status), result.seconds))

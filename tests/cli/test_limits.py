@@ -123,5 +123,7 @@ def test_the_help_states_the_limits_that_hold(command, decision, capsys):
     assert main([command, "--help"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     lengths, angle = decision.max_sd_translation_in_lengths, degrees(decision.max_sd_rotation)
-    assert f"[default: {lengths} correlation lengths of the field, {angle:.1f} degrees]" in said
+    own = f"{lengths} correlation lengths of the field, {angle:.1f} degrees"
+    shift = decision.max_sd_translation
+    assert f"[default: {f'{shift:g},{angle:.0f}' if shift else own}]" in said
     assert f"[default: {decision.min_probability}]" in said

@@ -41,7 +41,13 @@ def test_poses_are_written_in_the_maps_frame_and_the_result_says_how_sure(run, h
     assert result["status"] == "localized"
     assert result["first_fix"][0] == found.times[0]
     assert 0.5 < result["share"] <= 1
-    assert result["segments"][0]["status"] == "searching"
+    # With hindsight, the beginning is known too.
+    assert (result["first_fix"][1], result["segments"][0]["status"]) == (0.0, "localized")
+    t, shift, turn = np.array(result["sd"]).T
+    assert set(t) <= set(found.times)
+    assert 0 < np.median(shift) < 0.2
+    assert turn.max() < np.radians(30)
+    assert f"sd {np.median(shift):.2g} m" in done.err
     assert "stated poses" in (tmp_path / "where.html").read_text()
     (tmp_path / "result.json").write_text(done.out)
     read = mm.LocalizationResult.load(tmp_path / "result.json")
@@ -51,6 +57,15 @@ def test_poses_are_written_in_the_maps_frame_and_the_result_says_how_sure(run, h
     words = ["--out", tmp_path / "again.tum", "--config", tmp_path / "result.json"]
     assert run("localize", hall / "hall.map", hall / "walk.csv", *words).code == 0
     assert (tmp_path / "again.tum").read_bytes() == before
+
+
+def test_live_the_beginning_is_not_known_yet(run, hall, tmp_path):
+    words = ["--out", tmp_path / "where.tum", "--json", "--live"]
+    done = run("localize", hall / "hall.map", hall / "walk.csv", *words)
+    assert done.code == 0, done.err
+    result = json.loads(done.out)
+    assert result["segments"][0]["status"] == "searching"
+    assert result["first_fix"][1] > 2.0
 
 
 def test_elsewhere_it_says_never_and_writes_no_pose(run, hall, tmp_path):

@@ -34,4 +34,4 @@ def known(place):
 def followed(place):
     """A walk of which only its odometry's frame is known, followed."""
     log, truth = drifting_walk(Place(1), 3, laps=1.5, start=1.0, bias=(2e-6, -1e-6, 1e-6))
-    return SimpleNamespace(log=log, truth=truth, track=localize(place, log))
+    return SimpleNamespace(log=log, truth=truth, track=localize(place, log, live=True))

@@ -87,7 +87,7 @@ def test_no_sample_waits_for_votes_or_for_a_map_that_is_made_ready_aside(folder)
 
 def test_a_rigid_survey_is_still_registered_to_an_atlas(folder):
     _, truth = drifting_walk(Place(42), 53, laps=0.6)
-    result = mm.localize(mm.open_atlas(folder), mm.Survey(truth, Place(42).field(truth)))
+    result = mm.register(mm.open_atlas(folder), mm.Survey(truth, Place(42).field(truth)))
     assert isinstance(result, mm.RegistrationResult)
     assert result.base in ("hall.map", None)
 

@@ -62,7 +62,7 @@ def test_the_stated_covariance_covers_the_error(followed):
 def test_the_odometrys_frame_does_not_matter(place, followed):
     turn = Rotation.from_rotvec([0, 0, 2.0])
     moved = followed.log.transformed(RigidTransform.from_components([30.0, -20.0, 0.0], turn))
-    again = mm.localize(place, moved)
+    again = mm.localize(place, moved, live=True)
     both = followed.track.is_stated & again.is_stated
     assert both.sum() > 0.95 * followed.track.is_stated.sum()
     a, b = ([e.T_map_body for e, s in zip(t.estimates, both, strict=True) if s] for t in (followed.track, again))
@@ -82,7 +82,7 @@ def test_with_nothing_known_of_the_odometrys_frame_the_walk_is_found_too(place, 
 
 
 def test_the_same_log_gives_the_same_bits(place, followed):
-    assert states(mm.localize(place, followed.log).estimates) == states(followed.track.estimates)
+    assert states(mm.localize(place, followed.log, live=True).estimates) == states(followed.track.estimates)
 
 
 def rows_of(log):
@@ -172,7 +172,7 @@ def test_a_sensor_whose_bias_jumps_is_not_followed_astray(place):
     half = len(log) // 2
     jump = np.where(np.arange(len(log))[:, None] > half, [15e-6, -10e-6, 8e-6], 0.0)
     jumped = mm.Survey(log.positions, log.field + log.orientations.apply(jump), log.times, log.orientations)
-    estimates = mm.localize(place, jumped).estimates
+    estimates = mm.localize(place, jumped, live=True).estimates
     off = [np.linalg.norm(e.T_map_body.translation - p) for e, p in zip(estimates, truth, strict=True) if e.is_stated]
     assert max(off) < 0.6
     assert estimates[-1].is_stated
@@ -256,13 +256,17 @@ def test_other_things_than_maps_and_logs_are_named(place):
         mm.localize(place, mm.Survey(log.positions, log.field))
 
 
+# A fine demand, stated at once.
+FINE = mm.LocalizerConfig(stands=0.0, decision={"prior_odds": 1 / 16, "max_sd_rotation": 0.16})
+
+
 def outing(place, seed, length):
     """A walk of 13 m, a way straight out of the map and back (m), by odometry that turns, and a walk on.
 
     What is said on the last, and its true positions.
     """
     log, truth = drifting_walk(Place(1), seed, laps=0.8, start=0.5)
-    localizer, R, end = mm.Localizer(place), log.orientations[-1], 0.5 + 1.6 * np.pi
+    localizer, R, end = mm.Localizer(place, FINE), log.orientations[-1], 0.5 + 1.6 * np.pi
     assert feed(localizer, log)[-1].is_stated
     n = round(length / 0.1)
     ahead = 0.1 * np.r_[1 : n + 1, n:0:-1][:, None] * [[1.0, 0.0, 0.0]]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from magmatch.cli.localize import tell
+from magmatch.geometry import path_walked
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus
 from magmatch.localization.localize import localize
@@ -22,7 +23,7 @@ def strict(place, followed):
     config = LocalizerConfig()
     decision = config.decision.model_copy(update={"max_sd_translation": 0.02})
     rows = np.arange(len(followed.log) // 2)
-    return localize(place, followed.log.subset(rows), config.model_copy(update={"decision": decision}))
+    return localize(place, followed.log.subset(rows), config.model_copy(update={"decision": decision}), live=True)
 
 
 def test_a_known_place_is_said_to_be_known_though_no_pose_is_stated(strict):
@@ -32,14 +33,21 @@ def test_a_known_place_is_said_to_be_known_though_no_pose_is_stated(strict):
     assert last.phase == UNCERTAIN
     assert last.reason.startswith("the place is known (probability ")
     assert "but the pose is too uncertain: sd 0." in last.reason
-    assert "at most 0.02 m, 9.17 degrees are asked for (--max-sd)" in last.reason
+    assert "at most 0.02 m, 30 degrees are asked for (--max-sd)" in last.reason
 
 
-def test_a_place_is_known_exactly_where_its_probability_suffices(strict, followed):
+def test_a_place_is_known_only_where_its_probability_suffices_and_has_done_so_for_long_enough(strict, followed):
     for track in (strict, followed.track):
-        least = track.config.decision.min_probability
-        assert [e.is_place_known for e in track.estimates] == [e.probability >= least for e in track.estimates]
+        is_probable = np.array([e.probability >= track.config.decision.min_probability for e in track.estimates])
+        is_known = np.array([e.is_place_known for e in track.estimates])
+        assert not (is_known & ~is_probable).any()
+        walked, begins = path_walked(track.log.positions), np.flatnonzero(is_known[1:] & ~is_known[:-1]) + 1
+        since = [np.flatnonzero(~is_probable[:n])[-1] for n in begins]
+        # 2.5 field lengths of 0.6 m.
+        assert len(begins)
+        assert (walked[begins] - walked[since]).min() > 1.3
         assert all(e.is_place_known for e in track.estimates if e.is_stated)
+    assert any("stated once it has stood" in e.reason for e in followed.track.estimates)
 
 
 def test_table_plot_and_advice_of_the_report_agree(strict, tmp_path):

@@ -5,7 +5,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import Estimate, LocalizerStatus
-from magmatch.localization.smooth import _join, reversed_log, smooth
+from magmatch.localization.localize import localize
+from magmatch.localization.smooth import _join, reversed_log
+from magmatch.localization.stretches import agreement, believed, stretches
 
 NO_BIAS = np.zeros(3)
 
@@ -26,7 +28,7 @@ def estimate(x, sd, name="hall"):
 
 
 def test_hindsight_knows_the_beginning_too_and_errs_less(place, followed):
-    track = smooth(place, followed.log)
+    track = localize(place, followed.log)
     live = followed.track
     assert track.is_stated[:10].all()
     assert track.is_stated.mean() > live.is_stated.mean()
@@ -55,3 +57,47 @@ def test_two_estimates_meet_by_their_weights_and_claim_no_more_than_the_better()
 def test_two_estimates_that_contradict_each_other_state_nothing():
     assert not _join(estimate(0.0, 0.1), estimate(3.0, 0.1)).is_stated
     assert not _join(estimate(0.0, 0.1), estimate(0.0, 0.1, "cellar")).is_stated
+
+
+LOST, UNCERTAIN = (Estimate(LocalizerStatus.LOST, "", is_place_known=known) for known in (False, True))
+WALKED = np.arange(10.0)
+
+
+def standing(forward, backward, tested=3.0):
+    """Rows of the forward direction that stand; one sample each metre."""
+    return believed(forward, *agreement(forward, backward), WALKED, tested).nonzero()[0].tolist()
+
+
+def at(*rows, x=0.0, otherwise=LOST):
+    return [estimate(x, 0.1) if n in rows else otherwise for n in range(10)]
+
+
+def test_a_stretch_that_what_follows_contradicts_stands_only_as_far_as_the_other_direction_agrees():
+    assert standing(at(1, 2, 3, 4, 5), at()) == []
+    assert standing(at(1, 2, 3, 4, 5), at(2, 3)) == [1, 2, 3]
+    assert standing(at(1, 2, 3, 4, 5), at(2, 3, x=2.0)) == []
+
+
+def test_of_a_stretch_that_stood_before_it_was_contradicted_the_earlier_part_stands():
+    assert standing(at(*range(9)), at()) == [0, 1, 2, 3, 4, 5]
+    assert standing(at(*range(9)), at(*range(9), x=3.0)) == []
+
+
+def test_a_pose_that_became_too_uncertain_contradicts_nothing():
+    assert standing(at(1, 2, 3, 4, 5, otherwise=UNCERTAIN), at()) == [1, 2, 3, 4, 5]
+
+
+def test_a_fix_at_the_very_end_has_not_been_put_to_the_test():
+    assert standing(at(8, 9), at()) == []
+    assert standing(at(8, 9), at(8, 9)) == [8, 9]
+    assert standing(at(5, 6, 7, 8, 9), at()) == [5, 6, 7, 8, 9]
+
+
+def test_of_two_stretches_that_disagree_neither_stands():
+    assert standing(at(5, 6, 7, 8, 9), at(*range(10), x=3.0)) == []
+    assert standing(at(*range(10), x=3.0), at(5, 6, 7, 8, 9)) == []
+
+
+def test_a_stretch_ends_where_another_map_is_named():
+    walk = [estimate(0.0, 0.1), estimate(0.0, 0.1, "cellar"), UNCERTAIN]
+    assert [(s.first, s.last) for s in stretches(walk)] == [(0, 0), (1, 1)]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Evidence weighs models by all that they allow for, and is neither lost nor made when bins are forgotten."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -114,3 +116,11 @@ def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
     forget(steps, fit, null, known, Toll(0.0, 1, 4.0), bank)
     assert bank["earlier"][0] > 20
     assert bank["earlier"][1] == pytest.approx(4.0)
+
+
+def test_evidence_counts_by_the_share_of_the_fields_variance_that_a_map_explains(known):
+    poor = replace(known, noise=replace(known.noise, misfit_sd=0.8 * known.field_sd, constant_sd=0.0))
+    assert poor.dispersion**-2 == pytest.approx(1 - 0.8**2)
+    assert known.dispersion < 1.05
+    useless = replace(known, noise=replace(known.noise, misfit_sd=2 * known.field_sd))
+    assert useless.dispersion == pytest.approx(np.sqrt(20))

@@ -23,7 +23,7 @@ EXAMPLES = (
     "magmatch localize hall.map walk.csv --out where.tum",
     "magmatch localize buildings/ robot.mcap --out where.tum --report where.html",
     "magmatch localize hall.map phone.zip --planar --out where.tum --json > where.json",
-    "magmatch localize hall.map walk.csv --smooth --max-sd 0.3,5 --out where.tum",
+    "magmatch localize hall.map walk.csv --live --max-sd 0.3,5 --out where.tum",
 )
 
 
@@ -36,8 +36,8 @@ def localize(
     ],
     out: Annotated[Path, typer.Option(help="Write the stated poses here (TUM).", metavar="TRAJECTORY")],
     layouts: Layouts,
-    smooth: Annotated[
-        bool, typer.Option("--smooth", help="Estimate each pose from the whole log, not only from earlier samples.")
+    live: Annotated[
+        bool, typer.Option("--live", help="Estimate each pose from earlier samples only, not from the whole log.")
     ] = False,
     planar: Annotated[
         bool, typer.Option("--planar", help="All poses lie on one floor. Detected if the poses show it.")
@@ -45,17 +45,17 @@ def localize(
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of map and log is not up.")] = False,
     odometry_sd: Annotated[
         str | None,
-        typer.Option(help="Standard deviation of odometry after 10 m: METRES,DEGREES.  [default: 0.15,2]"),
+        typer.Option(
+            help="Standard deviation of odometry after 10 m: METRES,DEGREES.  [default: 0.15,2; of "
+            "a phone's log without poses 0.5,6]"
+        ),
     ] = None,
     min_probability: Annotated[
         float | None, typer.Option(help="Least probability of a stated pose.  [default: 0.99]")
     ] = None,
     max_sd: Annotated[
         str | None,
-        typer.Option(
-            help="Largest standard deviation of a stated pose: metres,degrees.  [default: 0.3 correlation lengths of "
-            "the field, 9.2 degrees]"
-        ),
+        typer.Option(help="Largest standard deviation of a stated pose: METRES,DEGREES.  [default: 2,30]"),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with the path over the map here.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
@@ -67,10 +67,9 @@ def localize(
 
     Exit code 0: at least one pose is stated; 3: never localized, with the reason.
     """
-    from magmatch.localization.config import LocalizerConfig
+    from magmatch.localization.config import DEAD_RECKONING_SD, LocalizerConfig
     from magmatch.localization.known_places import open_place
     from magmatch.localization.localize import localize as run
-    from magmatch.localization.smooth import smooth as with_hindsight
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
     check_outputs((out,), inputs=(place, log, config), page=report)
@@ -82,8 +81,11 @@ def localize(
         switches["odometry"] = settings.odometry.model_copy(update={"sd": sd})
     settings = settings.model_copy(update=switches)
     opened, known = open_walk(log, layouts), open_place(place)  # both before a log is dead reckoned
+    if opened.given is None and odometry_sd is None and settings.odometry == LocalizerConfig().odometry:
+        drift = settings.odometry.model_copy(update={"sd": DEAD_RECKONING_SD})
+        settings = settings.model_copy(update={"odometry": drift})
     walk = opened.survey()
-    track = with_hindsight(known, walk, settings) if smooth else run(known, walk, settings)
+    track = run(known, walk, settings, live=live)
     result = track.result()
     track.save(out, read_poses_of(log, layouts))
     if report is not None:
@@ -107,5 +109,5 @@ def tell(result: "LocalizationResult") -> str:
     bias = ", ".join(f"{1e6 * b:z.1f}" for b in result.sensor["bias"])
     return (
         f"{level}{ended}{where}: {result.reason}\n"
-        f"  first after {result.first_fix[1]:.1f} m; a pose for {result.share:.0%} of the time; bias {bias} uT"
+        f"  first after {result.first_fix[1]:.1f} m; {result.share_in_words}; bias {bias} uT"
     )

@@ -61,6 +61,8 @@ class Belief:
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf
+        # Path at which the place became known as it is now; NaN where it is not.
+        self._known_at = np.nan
 
     def follow(self, new: Bin) -> None:
         """Update all hypotheses with one bin."""
@@ -112,7 +114,7 @@ class Belief:
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
         window.weigh_against(self._null.begin_anew(window.steps[self._since :], window.null))
         self._join(*self._with_another_bias(recent))
-        self.is_sure, self.searched_at, self._trail = False, -np.inf, []
+        self.is_sure, self.searched_at, self._trail, self._known_at = False, -np.inf, [], np.nan
 
     def _with_another_bias(self, recent: int) -> tuple[np.ndarray, np.ndarray]:
         """The trusted hypothesis with a jump of the sensor's bias at the most likely of the latest bins."""
@@ -149,7 +151,7 @@ class Belief:
 
     def weigh(self) -> float:
         """Weigh all hypotheses and keep distinct ones, most likely first; returns the first one's log odds, nats."""
-        same = self._config.decision.tolerance(self._known.length)
+        same = self._config.same(self._known.length)
         weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
         odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
@@ -158,7 +160,7 @@ class Belief:
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
         rows = [w.row for w in self._weighed]
         if not rows or rows[0] != 0:
-            self.is_sure, self._trail = False, []
+            self.is_sure, self._trail, self._known_at = False, [], np.nan
         if rows != list(range(len(self._bank))):
             self._bank = self._bank[rows]
             self._window.keep(rows)
@@ -169,15 +171,26 @@ class Belief:
         decision = self._config.decision
         self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere)
         self._words = f"probability {in_words(self._found.best)}"
-        off = self._too_uncertain() if self._is_place_known() else ""
-        self.is_sure = self._is_place_known() and not off
+        is_known = self._is_place_known()
+        off = self._too_uncertain() if is_known else ""
+        self.is_sure = is_known and not off
+        if not is_known or np.isnan(self._known_at):
+            self._known_at = self._walked if is_known else np.nan
         if self.is_sure:
-            self._was_sure = True
+            self._was_sure |= self._stands()
             return
         self._trail = []
         self._words = (
             f"the place is known ({self._words}), but the pose is too uncertain: {off}" if off else self._why()
         )
+
+    @property
+    def _walked(self) -> float:
+        return float(self._window.steps[-1]["walked"])
+
+    def _stands(self) -> bool:
+        """Whether the place has been known for long enough to be stated: a first fix is the best of many starts."""
+        return self._walked - self._known_at >= self._config.stands * self._known.length
 
     def _is_place_known(self) -> bool:
         return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
@@ -194,10 +207,11 @@ class Belief:
 
     def estimate(self, T: Matrix) -> Estimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4)."""
-        if not self.is_sure:
+        stands = self._stands() if self._is_place_known() else False
+        if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
-            is_known = self._is_place_known()
-            return Estimate(status, self._words, probability=self._found.best, is_place_known=is_known)
+            words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
+            return Estimate(status, words, probability=self._found.best, is_place_known=stands)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
         said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
         is_in = bool(self._window.fit[-1, 0]["is_known"])
@@ -207,6 +221,10 @@ class Belief:
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
             self._known.name, float(said["gain"]), is_place_known=True,
         )  # fmt: skip
+
+    @property
+    def _standing(self) -> str:
+        return f"{self._config.stands * self._known.length:.3g} m"
 
     def hypotheses(self) -> list[Hypothesis]:
         """Hypotheses at the last bin, most likely first."""

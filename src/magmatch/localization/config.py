@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of the localisation in a known map; lengths in field lengths, over which the map's field changes."""
 
+from math import radians
+
 from pydantic import Field
 
-from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.decision import RIGHT_WITHIN, DecisionConfig
 from magmatch.settings import Settings
 from magmatch.slam.config import OdometryConfig
+
+# Drift (m, deg in 10 m) of steps counted and turned by a phone's own sensors.
+DEAD_RECKONING_SD = (0.5, 6.0)
 
 
 class LocalizerConfig(Settings):
@@ -29,6 +34,9 @@ class LocalizerConfig(Settings):
     search_every: float = Field(default=0.75, gt=0)
     # Path of the latest evidence, by which a trusted hypothesis may be doubted.
     recent: float = Field(default=2.5, gt=0)
+    # Path for which a place must stay known before it is stated: the evidence by which it may be doubted is then new.
+    # With hindsight a fix is stated from its beginning.
+    stands: float = Field(default=2.5, ge=0)
     # Distinct starts that a search refines, and hypotheses that are kept.
     n_starts: int = Field(default=80, ge=1)
     n_hypotheses: int = Field(default=16, ge=2)
@@ -39,6 +47,20 @@ class LocalizerConfig(Settings):
     # a track that is lost: it came into the map.
     price_outside: float = Field(default=3.0, ge=0)
     # When a pose is stated: the decision of a registration. The body may well be elsewhere, and is asked for at every
-    # step: at these odds a walk elsewhere is ever stated once in 1,600 (Ville's inequality), in 10 km once in 16. An
-    # error of a body's heading, unlike that of a survey's frame, moves no point: twice a registration's is enough.
-    decision: DecisionConfig = Field(default_factory=lambda: DecisionConfig(prior_odds=1 / 16, max_sd_rotation=0.16))
+    # step: at these odds a walk elsewhere is ever stated once in 1,600 (Ville's inequality), in 10 km once in 16. The
+    # standard deviations tell rooms and directions of a building apart; who needs a finer pose asks for it.
+    decision: DecisionConfig = Field(
+        default_factory=lambda: DecisionConfig(
+            prior_odds=1 / 16, max_sd_translation=2.0, max_sd_rotation=round(radians(30), 4)
+        )
+    )
+    # Two hypotheses that differ by less are one answer, as in a registration, whose heading moves more points than a
+    # body's. A coarser pose will do does not make two places one.
+    same_rotation: float = Field(default=RIGHT_WITHIN * 0.16, gt=0)
+
+    def same(self, length: float) -> tuple[float, float]:
+        """Within what two hypotheses are one answer (m, rad), given the field length (m): less than may be stated."""
+        shift, turn = self.decision.tolerance(length)
+        return min(shift, RIGHT_WITHIN * self.decision.max_sd_translation_in_lengths * length), min(
+            turn, self.same_rotation
+        )

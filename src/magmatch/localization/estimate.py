@@ -60,7 +60,8 @@ class Estimate:
     gain : float or None
         Ratio of the sensor's readings to those of the map's sensor.
     is_place_known : bool
-        Whether that probability is high enough; no pose is stated all the same where its covariance is too large.
+        Whether that probability is high enough, and has been for long enough; no pose is stated all the same where
+        its covariance is too large.
     """
 
     status: LocalizerStatus

@@ -13,7 +13,7 @@ from magmatch.errors import SurveyError
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate
-from magmatch.localization.known_places import Place
+from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.samples import OdometryJump
 from magmatch.localization.track import Track
@@ -27,8 +27,10 @@ from magmatch.threads import one_blas_thread
 log = logging.getLogger(__name__)
 
 
-def follow_log(place: Place, walk: Survey, config: LocalizerConfig | None = None) -> Track:
-    """Localise a log; see `localize`."""
+def follow_log(
+    place: Place, walk: Survey, config: LocalizerConfig | None = None, known: KnownPlaces | None = None
+) -> Track:
+    """Localise a log as if live; see `localize`. ``known``: the place, where it was made ready before."""
     config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     require_survey(walk, name="log")
@@ -43,7 +45,7 @@ def follow_log(place: Place, walk: Survey, config: LocalizerConfig | None = None
     poses, field = RigidTransform.from_components(walk.positions, R), R.inv().apply(walk.field)
     with one_blas_thread():
         with clock("map"):
-            localizer = Localizer(place, config)
+            localizer = Localizer(known or place, config)
         estimates = []
         with clock("follow"):
             for n, t in enumerate(walk.times):

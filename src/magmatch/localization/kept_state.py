@@ -26,7 +26,7 @@ from magmatch.localization.samples import Samples
 from magmatch.localization.weigh_hypotheses import Weighed
 from magmatch.registration.decide.posterior import Posterior
 
-SCHEMA = "magmatch.localizer/3"
+SCHEMA = "magmatch.localizer/4"
 # What a state may consist of.
 KINDS: dict[str, type] = {kind.__name__: kind for kind in (Bin, Binning, Posterior, Samples, Weighed, Window)}
 # Of a belief and its null model: what follows from the map and the settings.

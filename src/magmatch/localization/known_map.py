@@ -18,6 +18,8 @@ from magmatch.typing import Covariance6, Matrix, Points, Scalars, Vector3
 # Of a field length: spacing of the raster, short against what a tracked position is known to, and of the starts.
 RASTER_SPACING, ANCHOR_SPACING = 0.125, 0.3
 MAX_ANCHORS = 20_000
+# Share of its field's variance that a map is taken to explain at least: none is worth nothing at all.
+LEAST_EXPLAINED = 0.05
 # Of a covariance's factors, every so many: a window's hundred readings tell no more apart.
 FACTORS_EVERY = 4
 
@@ -62,6 +64,16 @@ class KnownMap:
     def up(self) -> Vector3:
         """The map's z."""
         return self.frame.up
+
+    @property
+    def dispersion(self) -> float:
+        """By what a misfit is larger in a map that explains only a share of its field's variance.
+
+        The model's errors are known by their spread only. Where they are as large as what is matched, a fit by chance
+        is as likely as one by the field, and evidence counts by the share of the variance that the map explains.
+        """
+        errors = self.noise.misfit_sd**2 + self.noise.constant_sd**2
+        return float(1 / np.sqrt(max(1 - errors / self.field_sd**2, LEAST_EXPLAINED)))
 
     @classmethod
     def of(cls, place: FieldMap | MapIndex) -> "KnownMap":

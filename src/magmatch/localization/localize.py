@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Localisation of a whole log, sample by sample as if live; a rigid target is registered to an atlas instead."""
-
-from typing import overload
+"""Localisation of a whole log in a known map: with hindsight, or as it would have been known live."""
 
 from magmatch.arguments import expect_kind
 from magmatch.data.survey import Survey
@@ -10,55 +8,41 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.known_places import Place
 from magmatch.localization.localizer import ADVICE
+from magmatch.localization.smooth import smooth
 from magmatch.localization.track import Track
 from magmatch.progress import Progress, followed
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.register import register
-from magmatch.registration.result import RegistrationResult
 
 
-@overload
-def localize(
-    place: Atlas, target: Survey | FieldMap, config: None = None, *, seed: int = 0, progress: Progress | None = None
-) -> RegistrationResult: ...
-@overload
-def localize(
-    place: Place, target: Survey, config: LocalizerConfig, *, seed: int = 0, progress: Progress | None = None
-) -> Track: ...
-@overload
-def localize(
-    place: FieldMap | MapIndex, target: Survey, *, seed: int = 0, progress: Progress | None = None
-) -> Track: ...
 def localize(
     place: Place,
-    target: Survey | FieldMap,
+    log: Survey,
     config: LocalizerConfig | None = None,
     *,
-    seed: int = 0,
+    live: bool = False,
     progress: Progress | None = None,
-) -> Track | RegistrationResult:
-    """Localise a log in a map, or find the map of an atlas that contains a rigid survey.
+) -> Track:
+    """Localise a log in a map, or in one of a folder of maps, from an unknown start.
 
     Parameters
     ----------
     place : FieldMap, MapIndex or Atlas
-    target : Survey or FieldMap
-        A log: a survey with times; positions and orientations from odometry, in its own frame, and the field in that
-        frame. Without orientations the body is assumed to keep the odometry's axes. With an atlas and without
-        `config`: a rigid survey or map, which is registered.
+        A rigid survey without odometry of its own is found in an atlas by `register`.
+    log : Survey
+        With times; positions and orientations from odometry, in its own frame, and the field in that frame. Without
+        orientations the body is assumed to keep the odometry's axes.
     config : LocalizerConfig, optional
-    seed : int
-        Of the registration; localising a log uses no random numbers.
+    live : bool
+        Whether each pose is estimated from the samples up to it only, as a `Localizer` would have known it then.
+        Otherwise the whole log is used for each.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
 
     Returns
     -------
     Track
-        Of a log.
-    RegistrationResult
-        Of a rigid target; ``base`` names the map, alternatives name theirs.
+        An estimate for each of the log's poses, stated where it is probable and accurate enough.
 
     Raises
     ------
@@ -66,9 +50,6 @@ def localize(
         The log holds NaN, impossible values, too few samples or no times.
     """
     expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
-    if isinstance(place, Atlas) and config is None:
-        return register(place, target, seed=seed, progress=progress)
-    expect_kind(target, "target", (Survey,), "a log is a Survey with times; read_survey reads one")
-    assert isinstance(target, Survey)
+    expect_kind(log, "log", (Survey,), "a log is a Survey with times; read_survey reads one")
     with followed(progress):
-        return follow_log(place, target, config)
+        return follow_log(place, log, config) if live else smooth(place, log, config)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
 from typing_extensions import TypedDict
 
 from magmatch.brief import brief
@@ -78,6 +79,8 @@ class LocalizationResult(TypedDocument):
         When the first pose was stated, on the log's clock, and how far the body had walked.
     share : float
         Share of the log's time for which a pose is stated.
+    sd : tuple of (s, m, rad)
+        Of stated poses over time, evenly thinned: standard deviations of place and turn, worst directions.
     segments : tuple of Segment
     sensor, odometry : dict or None
         As estimated; None where no pose is stated.
@@ -95,6 +98,7 @@ class LocalizationResult(TypedDocument):
     map: str | None = None
     first_fix: tuple[Number, Length] | None = None
     share: Fraction = 0.0
+    sd: tuple[tuple[Number, Length, Length], ...] = ()
     segments: tuple[Segment, ...] = ()
     sensor: SensorResult | None = None
     odometry: OdometryResult | None = None
@@ -111,6 +115,17 @@ class LocalizationResult(TypedDocument):
     def is_place_known(self) -> bool:
         """Whether the log ended at a known place with a pose too uncertain to be stated: that is not to be lost."""
         return self.status is not LocalizationStatus.LOCALIZED and any(s.is_place_known for s in self.segments[-1:])
+
+    @property
+    def share_in_words(self) -> str:
+        """For how much of the time a pose is stated, and how accurate those poses are."""
+        if not self.sd:
+            return f"a pose for {self.share:.0%} of the time"
+        _, shift, turn = np.array(self.sd).T
+        return (
+            f"a pose for {self.share:.0%} of the time, sd {np.median(shift):.2g} m and "
+            f"{np.degrees(np.median(turn)):.2g} degrees (at most {shift.max():.2g} m, {np.degrees(turn.max()):.2g})"
+        )
 
     @property
     def is_localized(self) -> bool:

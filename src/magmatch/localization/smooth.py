@@ -1,38 +1,57 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Smoothing of a log: processed forward to its end and backward to its beginning.
 
-At each pose, the two estimates use the path before it and the path after it. Their errors, above all the map's errors
-there, are correlated in an unknown way, so they are fused by covariance intersection, which allows any correlation
-(S. Julier and J. Uhlmann, A non-divergent estimation algorithm in the presence of unknown correlations, ACC 1997).
+At each pose, the two estimates use the path before it and the path after it. What the rest of the log contradicts is
+left out (`stretches.py`). Their errors, above all the map's errors there, are correlated in an unknown way, so they
+are fused by covariance intersection, which allows any correlation (S. Julier and J. Uhlmann, A non-divergent
+estimation algorithm in the presence of unknown correlations, ACC 1997).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.arguments import expect_kind
 from magmatch.data.survey import Survey
+from magmatch.geometry import path_walked
+from magmatch.localization.belief import BIN_LENGTH
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
-from magmatch.localization.known_places import Place
-from magmatch.localization.localize import localize
+from magmatch.localization.follow_log import follow_log
+from magmatch.localization.known_places import KnownPlaces, Place
+from magmatch.localization.likely_maps import LikelyMaps
+from magmatch.localization.stretches import agreement, believed, offset
 from magmatch.localization.track import Track
-from magmatch.progress import Progress
+from magmatch.typing import Mask
 
-# Squared distance (chi^2 of six, one in 10,000) from which on two estimates contradict each other.
-CONTRADICTION = 27.9
+REFUTED = "the rest of the log contradicts the pose that was probable here"
 
 
-def smooth(
-    place: Place, walk: Survey, config: LocalizerConfig | None = None, *, progress: Progress | None = None
-) -> Track:
-    """Localise a log in a map as `localize` does, using also the samples after each pose."""
-    config = config or LocalizerConfig()
-    there = localize(place, walk, config, progress=progress)
-    back = localize(place, reversed_log(walk), config, progress=progress)
-    joined = [_join(a, b) for a, b in zip(there.estimates, reversed(back.estimates), strict=True)]
+def smooth(place: Place, walk: Survey, config: LocalizerConfig | None = None) -> Track:
+    """Localise a log in a map, using also the samples after each pose; see `localize`."""
+    config, known = config or LocalizerConfig(), KnownPlaces(place)
+    expect_kind(config, "config", (LocalizerConfig,))
+    # Whether a fix stands is seen from the whole log.
+    at_once = config.model_copy(update={"stands": 0.0})
+    there, back = (follow_log(place, log, at_once, known) for log in (walk, reversed_log(walk)))
+    forward, backward = list(there.estimates), list(reversed(back.estimates))
+    both, agree = agreement(forward, backward)
+    length = LikelyMaps(known, config).bin_length / BIN_LENGTH
+    walked, tested = path_walked(walk.positions), config.stands * length
+    stands = believed(forward, both, agree, walked, tested)
+    stands_back = believed(backward[::-1], both[::-1], agree[::-1], walked[::-1], tested)[::-1]
+    joined = [_join(a, b) for a, b in zip(_only(forward, stands), _only(backward, stands_back), strict=True)]
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
-    return replace(there, estimates=joined, seconds=seconds)
+    stated = there.config.model_copy(update={"stands": config.stands})
+    return replace(there, estimates=joined, config=stated, seconds=seconds)
+
+
+def _only(estimates: Sequence[Estimate], stands: Mask) -> list[Estimate]:
+    """Estimates without the poses that do not stand."""
+    lost = Estimate(LocalizerStatus.LOST, REFUTED)
+    return [lost if e.is_stated and not ok else e for e, ok in zip(estimates, stands, strict=True)]
 
 
 def reversed_log(walk: Survey) -> Survey:
@@ -51,14 +70,12 @@ def _join(a: Estimate, b: Estimate) -> Estimate:
     """Fuse both estimates; if they contradict each other, state nothing."""
     if not (a.is_stated and b.is_stated):
         return a if a.is_stated else b if b.is_stated else max(a, b, key=lambda e: e.probability)
-    T_map_a, T_map_b = a.T_map_body, b.T_map_body
+    if not agreement([a], [b])[1][0]:
+        return Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
+    T_map_a, xi = a.T_map_body, offset(a, b)
     assert T_map_a is not None
-    assert T_map_b is not None
     assert a.covariance is not None
     assert b.covariance is not None
-    xi = (T_map_a.inv() * T_map_b).as_exp_coords()
-    if a.map != b.map or xi @ np.linalg.solve(a.covariance + b.covariance, xi) > CONTRADICTION:
-        return Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
     # Both weigh one half.
     A, B = np.linalg.inv(a.covariance) / 2, np.linalg.inv(b.covariance) / 2
     C = np.linalg.inv(A + B)

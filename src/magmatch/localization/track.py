@@ -21,7 +21,11 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
 from magmatch.localization.samples import MOST_STEP
+from magmatch.registration.decide.estimate import worst_sd
 from magmatch.typing import Mask, Scalars
+
+# Most moments at which a result gives the standard deviation.
+MOST_SD = 200
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,7 +38,7 @@ class Track:
     maps : tuple of FieldMap
         The map; of an atlas, those in which a pose is stated.
     estimates : sequence of Estimate
-        One for each of the log's poses, as it was known then (or, smoothed, with hindsight).
+        One for each of the log's poses: with hindsight, or as it was known then.
     config : LocalizerConfig
     seconds : dict
         Per stage and total.
@@ -54,6 +58,12 @@ class Track:
     def is_stated(self) -> Mask:
         """Where a pose is stated, (n,)."""
         return np.array([e.is_stated for e in self.estimates], dtype=np.bool_)
+
+    @property
+    def sd(self) -> Scalars:
+        """Standard deviations of the stated poses in the worst direction, (m, 2): of place (m) and turn (rad)."""
+        found = [worst_sd(e.covariance) for e in self.estimates if e.is_stated and e.covariance is not None]
+        return np.array(found, dtype=np.float64).reshape(-1, 2)
 
     @property
     def poses(self) -> RigidTransform:
@@ -108,6 +118,7 @@ class Track:
             return found
         first, final = int(np.argmax(is_stated)), self.estimates[int(np.flatnonzero(is_stated)[-1])]
         steps = np.diff(times, append=times[-1])
+        sd, at, few = self.sd, times[is_stated], -(-int(is_stated.sum()) // MOST_SD)
         assert final.bias is not None
         assert final.bias_sd is not None
         return replace(
@@ -116,6 +127,7 @@ class Track:
             map=final.map,
             first_fix=(float(times[first]), float(path_walked(self.log.positions)[first])),
             share=float(np.clip((steps * is_stated).sum() / max(steps.sum(), 1e-9), 0.0, 1.0)),
+            sd=tuple((float(t), float(a), float(b)) for t, (a, b) in zip(at[::few], sd[::few], strict=True)),
             sensor={
                 "bias": final.bias.tolist(),
                 "bias_sd": final.bias_sd.tolist(),

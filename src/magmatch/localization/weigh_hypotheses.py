@@ -149,7 +149,7 @@ def weigh(
     gained, factor, misfit = evidence(steps, fit, null, known, toll)
     gained += bank["earlier"]
     return [
-        Weighed(k, bank[k : k + 1], float(gained[k]), float(misfit[k]), float(factor[k]))
+        Weighed(k, bank[k : k + 1], float(gained[k]), max(float(misfit[k]), 1.0) * known.dispersion, float(factor[k]))
         for k in _distinct(bank, gained, tolerance)
     ]
 

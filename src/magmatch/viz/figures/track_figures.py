@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magmatch.geometry import path_walked
+from magmatch.localization.result import LocalizationResult
 from magmatch.localization.track import Track
 from magmatch.viz.figures.plotting import colorbar, described, flat, for_display, magnitude_ut, new_plane
 from magmatch.viz.figures.slices import common_limits, cut_through, field_on, magnitude_slice
@@ -48,6 +49,14 @@ def status_figure(track: Track) -> "Figure":
     return described(
         figure, f"Probability that the best place is right; a pose for {track.is_stated.mean():.0%} of the samples."
     )
+
+
+def sd_figure(result: LocalizationResult) -> "Figure":
+    """How accurate the stated poses are, along the log."""
+    t, shift, _ = np.array(result.sd).reshape(-1, 3).T
+    trace = flat(np.column_stack([t, shift]), marker={"size": 4}, name="sd")
+    figure = new_plane("How accurate the pose was", [trace], "t (s)", "sd in the worst direction (m)", is_equal=False)
+    return described(figure, f"Standard deviation of the stated poses over time: {result.share_in_words}.")
 
 
 def _name(track: Track, k: int) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from magmatch.localization.result import LocalizationResult, LocalizationStatus
 from magmatch.localization.track import Track
-from magmatch.viz.figures.track_figures import path_figure, status_figure
+from magmatch.viz.figures.track_figures import path_figure, sd_figure, status_figure
 from magmatch.viz.pages.page import Section, again, bullets, figure_row, table, verdict, write_page
 
 # Most parts listed one by one, the longest.
@@ -39,7 +39,7 @@ def verdict_on(result: LocalizationResult) -> str:
     """Where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
     ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
     ended = "Pose too uncertain at the end" if result.is_place_known else ended
-    share = f"; a pose for {result.share:.0%} of the time" if result.is_localized else ""
+    share = f"; {result.share_in_words}" if result.is_localized else ""
     return verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
 
 
@@ -60,6 +60,8 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
         for s in sorted(longest, key=lambda s: s.t0)
     ]
     columns = ["from (s)", "for", "phase", "map", "why"]
-    sections.append(Section("Along the log", [figure_row([status_figure(track)]), table(rows, columns)]))
+    sections.append(
+        Section("Along the log", [figure_row([status_figure(track), sd_figure(result)]), table(rows, columns)])
+    )
     sections.append(again("Run it again", "", None, result.config))
     write_page(path, f"magmatch: {track.log.name}", sections)

@@ -27,7 +27,6 @@ from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import Place, open_place
 from magmatch.localization.localize import localize
-from magmatch.localization.smooth import smooth as with_hindsight
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.prepared.pose_prior import PosePriorConfig
@@ -58,7 +57,7 @@ class LogQuestion(BaseModel):
 class WhereOfLog(LogQuestion):
     """What is asked of a log that is localized."""
 
-    smooth: bool = Field(default=False, description="With hindsight, instead of as it was known live.")
+    live: bool = Field(default=False, description="As it was known live, instead of with hindsight.")
     planar: bool = Field(default=False, description="All poses lie on one floor.")
     no_gravity: bool = Field(default=False, description="z of the log is not up.")
 
@@ -184,7 +183,7 @@ def _registered(known: Place, survey: Survey, question: PoseOfLog) -> dict[str, 
 
 def _localized(known: Place, survey: Survey, question: WhereOfLog, config: LocalizerConfig) -> dict[str, Any]:
     settings = config.model_copy(update=of_vertical(planar=question.planar, no_gravity=question.no_gravity))
-    track = with_hindsight(known, survey, settings) if question.smooth else localize(known, survey, settings)
+    track = localize(known, survey, settings, live=question.live)
     document = track.result().to_dict()
     times, rows = survey.times, np.flatnonzero(track.is_stated)
     assert times is not None

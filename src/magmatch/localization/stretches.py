@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Stretches of a log followed in one direction, and those that the rest of the log contradicts.
+
+A first fix is the best of very many starts, in a map whose errors are known by their spread only: what was fixed by
+chance is contradicted by what follows. So a stretch that ended in a contradiction, or that has not been put to the
+test, is believed only as far as the other direction, which found the body elsewhere in the log, agrees.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from magmatch.localization.estimate import Estimate
+from magmatch.typing import Mask, Scalars
+
+# Squared distance (chi^2 of six, one in 10,000) from which on two estimates contradict each other.
+CONTRADICTION = 27.9
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Rows ``first`` to ``last`` (inclusive), in the direction of travel: one place, trusted throughout."""
+
+    first: int
+    last: int
+    is_contradicted: bool  # by what follows it at once
+
+    @property
+    def rows(self) -> slice:
+        """As an index."""
+        return slice(self.first, self.last + 1)
+
+
+def stretches(estimates: Sequence[Estimate]) -> list[Stretch]:
+    """Stretches in which poses are stated; a pose that only became too uncertain contradicts nothing."""
+    found, first, last = [], -1, len(estimates) - 1
+    for n, e in enumerate(estimates):
+        if e.is_stated and first < 0:
+            first = n
+        if first >= 0 and (n == last or not estimates[n + 1].is_stated or estimates[n + 1].map != e.map):
+            found.append(Stretch(first, n, n < last and not estimates[n + 1].is_place_known))
+            first = -1
+    return found
+
+
+def agreement(a: Sequence[Estimate], b: Sequence[Estimate]) -> tuple[Mask, Mask]:
+    """Where both directions state a pose, and where these agree, (n,) each."""
+    both = np.array([x.is_stated and y.is_stated for x, y in zip(a, b, strict=True)], dtype=np.bool_)
+    agree = both.copy()
+    for n in np.flatnonzero(both).tolist():
+        agree[n] = a[n].map == b[n].map and distance2(a[n], b[n]) <= CONTRADICTION
+    return both, agree
+
+
+def distance2(a: Estimate, b: Estimate) -> float:
+    """Squared distance of two stated poses, in standard deviations."""
+    assert a.covariance is not None
+    assert b.covariance is not None
+    xi = offset(a, b)
+    return float(xi @ np.linalg.solve(a.covariance + b.covariance, xi))
+
+
+def offset(a: Estimate, b: Estimate) -> np.ndarray:
+    """Twist (6,) from one stated pose to another."""
+    T_map_a, T_map_b = a.T_map_body, b.T_map_body
+    assert isinstance(T_map_a, RigidTransform)
+    assert isinstance(T_map_b, RigidTransform)
+    xi: np.ndarray = (T_map_a.inv() * T_map_b).as_exp_coords()
+    return xi
+
+
+def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, walked: Scalars, tested: float) -> Mask:
+    """Rows whose poses stand, (n,), of estimates in the direction of travel.
+
+    Where both directions state poses and mostly disagree, one of the stretches is wrong, and nothing says which. One
+    that ended within the path ``tested`` (m) counts up to where the other direction agrees; so does one that ended in
+    a contradiction, or up to that path before its end if it had stood before that.
+    """
+    stands = np.zeros(len(estimates), dtype=np.bool_)
+    for one in stretches(estimates):
+        met, agreed = both[one.rows], agree[one.rows]
+        if one.is_contradicted:
+            # The contradiction began within the path by which a place is doubted; what stood before that still does.
+            back = np.abs(walked[one.last] - walked[one.rows])
+            if back[0] >= 2 * tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
+                stands[one.rows] = back >= tested
+        is_tested = abs(walked[one.last] - walked[one.first]) >= tested and not one.is_contradicted
+        if agreed.any() and not is_tested:
+            stands[one.first : one.first + int(np.flatnonzero(agreed)[-1]) + 1] = True
+        elif is_tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
+            stands[one.rows] = True
+    return stands
