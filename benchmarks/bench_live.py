@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from bench_field import dipole_field
+from oracles.recursive import RecursiveSparseGP
 from threadpoolctl import threadpool_limits
 
 from magmatch.data.recordings import load_recordings
@@ -22,7 +23,6 @@ from magmatch.field.inducing.inducing_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
-from oracles.recursive import RecursiveSparseGP
 
 RATE, SPEED = 200, 1.0
 H = Hyperparameters(0.8, 8 * UT, 0.4 * UT, 0.2, 100.0)

@@ -97,7 +97,11 @@ def recording_of_table(
     table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
 ) -> Recording:
     """Join field samples with the poses of a trajectory file."""
-    hint = advise(table.names) if table.has("t") else "With a trajectory the samples need times on its clock"
+    hint = advise(table.names)
+    if not table.has("t"):
+        hint = "With a trajectory the samples need times on its clock" + (
+            "" if table.has(*FIELD_COLUMNS) else f". {hint}"
+        )
     table.require(["t", *FIELD_COLUMNS], hint)
     table.require_increasing("t")
     ignored = [name for name in (*POSITION_COLUMNS, *GLOBAL_COLUMNS, *QUATERNION) if table.has(name)]

@@ -17,8 +17,12 @@ logger = logging.getLogger(__name__)
 
 
 def lines_of(raw: bytes) -> list[str]:
-    """Lines of a log whose rows are plain ASCII, below a header of whatever the phone's language writes."""
-    return re.split("\r\n?|\n", raw.decode("latin-1"))
+    """Lines of a log: UTF-8, or plain ASCII rows below a header of whatever the phone's language writes."""
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    return re.split("\r\n?|\n", text)
 
 
 class TaggedRows:
