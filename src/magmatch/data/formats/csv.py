@@ -43,11 +43,12 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
 
 def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
     """Say that a column without a name is left out, unless it counts the rows: pandas so writes an index of times."""
-    if "" not in table.names or table.has("t"):
+    name = next((name for name in ("", "unnamed: 0") if name in table.names), None)
+    if name is None or table.has("t"):
         return
     path = table.path
     try:
-        values = read_table(path, ("",), recover=layout.recover, decimal=table.decimal).columns[""]
+        values = read_table(path, (name,), recover=layout.recover, decimal=table.decimal).columns[name]
         is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
     except DataFormatError:
         is_count = False

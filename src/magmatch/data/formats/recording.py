@@ -13,7 +13,7 @@ from magmatch.data.formats.channels import NO_CHANNELS, Channels
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
-from magmatch.number_text import told
+from magmatch.number_text import many, told
 from magmatch.typing import Scalars, Vectors
 
 logger = logging.getLogger(__name__)
@@ -94,8 +94,8 @@ class Recording:
         n_in_gaps = int((intervals[before] > limit).sum())
         if n_in_gaps:
             logger.warning(
-                "%s: %d samples lie in gaps of the trajectory longer than %.3g s; their poses are interpolated",
-                self.path, n_in_gaps, limit,
+                "%s: %s in gaps of the trajectory longer than %.3g s; their poses are interpolated",
+                self.path, many(n_in_gaps, "sample") + (" lies" if n_in_gaps == 1 else " lie"), limit,
             )  # fmt: skip
 
 

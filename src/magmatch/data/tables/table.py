@@ -31,7 +31,7 @@ from magmatch.data.tables.text_rows import (
     stated_delimiter,
 )
 from magmatch.errors import DataFormatError
-from magmatch.number_text import exact, told
+from magmatch.number_text import exact, many, told
 from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
@@ -294,7 +294,10 @@ class _TableReader:
             if not any(map(len, self.line_numbers)):
                 raise self.first_fault
             logger.warning(
-                "%s: left out %d rows that cannot be read, the first: %s", self.path, self.n_faults, self.first_fault
+                "%s: left out %s that cannot be read, the first: %s",
+                self.path,
+                many(self.n_faults, "row"),
+                self.first_fault,
             )
         if self.has_commas:
             read_as = "decimal commas were read as points"

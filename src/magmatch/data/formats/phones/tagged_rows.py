@@ -11,6 +11,7 @@ import numpy as np
 from magmatch.data.tables.number_marks import Decimal, number_of_text
 from magmatch.data.tables.text_rows import RECOVER, ForeignNumberError, advice_on
 from magmatch.errors import DataFormatError
+from magmatch.number_text import many
 from magmatch.typing import Indices, Matrix
 
 logger = logging.getLogger(__name__)
@@ -54,7 +55,7 @@ class TaggedRows:
     def blocks(self) -> dict[str, tuple[Matrix, Indices]]:
         """Numbers of each sensor of which there are rows, (n, k), and the lines they stand on."""
         if self._rows and self._n_faults:
-            logger.warning("%s: left out %d rows that cannot be read", self.path, self._n_faults)
+            logger.warning("%s: left out %s that cannot be read", self.path, many(self._n_faults, "row"))
         return {tag: (np.array(rows), np.array(self._lines[tag], dtype=np.int64)) for tag, rows in self._rows.items()}
 
     def _fault(self, line: int, cells: Sequence[str]) -> DataFormatError:
