@@ -6,6 +6,8 @@ import codecs
 import numpy as np
 import pytest
 
+from magmatch.cli.main import main
+from magmatch.data.formats.csv import read_points
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
@@ -109,3 +111,39 @@ def test_a_constant_may_be_written_in_several_ways(text, height, tmp_path):
     (tmp_path / "flat.csv").write_text(f"{NAMES.replace('z,b', 'b')}\n" + "".join(lines))
     survey = read_survey(tmp_path / "flat.csv", SurveyFormat(columns=f"z={text}"))
     assert set(survey.positions[:, 2]) == {height}
+
+
+HEADERS = {
+    "capitals": "T,X,Y,Z,QX,QY,QZ,QW",
+    "units": "time (s);pos_x (m);pos_y (m);pos_z (m);qx;qy;qz;qw",
+    "words": "Time\tPosition X\tPosition Y\tPosition Z\tRotation X\tRotation Y\tRotation Z\tRotation W",
+    "row numbers": ",t,x,y,z,qx,qy,qz,qw",
+    "sep=": "sep=|\nt|x|y|z|qx|qy|qz|qw",
+}
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_poses_under_a_header_are_converted_and_told(case, tmp_path):
+    header = HEADERS[case]
+    mark = next(mark for mark in "|;\t," if mark in header)
+    numbers = [[k] * header.startswith(",") + [k, k + 1, 2, 3, 0, 0, 1, 0] for k in range(5)]
+    rows = [mark.join(map(str, row)) for row in numbers]
+    (tmp_path / "poses.txt").write_text("\n".join([header, *rows, ""]))
+    assert main(["convert", str(tmp_path / "poses.txt"), str(tmp_path / "out.tum")]) == 0
+    np.testing.assert_array_equal(np.loadtxt(tmp_path / "out.tum")[3], [3, 4, 2, 3, 0, 0, 1, 0])
+    assert main(["info", str(tmp_path / "poses.txt")]) == 0
+
+
+@pytest.mark.parametrize("names", ["qx,qy,qz,qw,hx,hy,hz", "qx,qy,qz,qw,mag_x,mag_y,mag_z"])
+def test_a_survey_with_orientations_and_names_of_its_own_is_no_trajectory(names, tmp_path):
+    rows = "".join(f"{t},{t},{t * t},0,0,0,0,1,2e-5,{t * 1e-6},4e-5\n" for t in TIMES.tolist())
+    (tmp_path / "walk.csv").write_text(f"t,x,y,z,{names}\n{rows}")
+    with pytest.raises(DataFormatError, match="missing bx, by, bz.*--columns"):
+        read_survey(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize("text", ["1,2,3\n", "x [mm],y [mm],z [mm]\n1,2,3\n", "lat,lon,alt\n48,11,1\n"])
+def test_refused_points_say_how_to_name_them(text, tmp_path):
+    (tmp_path / "points.csv").write_text(text)
+    with pytest.raises(DataFormatError, match="need a header row of these names"):
+        read_points(tmp_path / "points.csv", SurveyFormat())

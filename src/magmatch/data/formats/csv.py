@@ -124,7 +124,10 @@ def read_points(path: str | Path, layout: SurveyFormat) -> Points:
         own = (*POSITION_COLUMNS, *GLOBAL_COLUMNS) if layout.origin else POSITION_COLUMNS
         return {theirs: ours for theirs, ours in choose_columns(path, names, {}).ours.items() if ours in own}
 
-    table = read_table(path, POSITION_COLUMNS, choose=choose)
+    advice = "The points need a header row of these names, in metres (or --length-unit)"
+    if layout.origin is None:
+        advice += "; latitude and longitude are for maps about an origin"
+    table = read_table(path, POSITION_COLUMNS, choose=choose, advise=lambda _: advice)
     table = table.renamed(choose(table.names))
     names, metre = position_columns(table), METRE_PER_UNIT[layout.length_unit]
     table.require(names)
