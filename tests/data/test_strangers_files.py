@@ -138,7 +138,7 @@ def test_poses_under_a_header_are_converted_and_told(case, tmp_path):
 def test_a_survey_with_orientations_and_names_of_its_own_is_no_trajectory(names, tmp_path):
     rows = "".join(f"{t},{t},{t * t},0,0,0,0,1,2e-5,{t * 1e-6},4e-5\n" for t in TIMES.tolist())
     (tmp_path / "walk.csv").write_text(f"t,x,y,z,{names}\n{rows}")
-    with pytest.raises(DataFormatError, match="missing bx, by, bz.*--columns"):
+    with pytest.raises(DataFormatError, match=r"missing bx, by, bz.*--columns"):
         read_survey(tmp_path / "walk.csv")
 
 
