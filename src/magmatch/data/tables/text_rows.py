@@ -138,7 +138,9 @@ def cells_of(
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
             if delimiter == "," and len(row) > width and all(map(is_number, row)):
-                advice = "numbers that hold commas need quotes, or semicolons between the cells"
+                advice = (
+                    "numbers that hold commas need quotes, or semicolons between the cells; row numbers need a name"
+                )
                 raise ForeignNumberError(path, f"{message}; {advice}", line=i + 1)
             raise DataFormatError(path, message, line=i + 1)
     return cells
