@@ -49,7 +49,7 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
 
 def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat) -> None:
     """Say so where the name of a column states another unit than the one that it is read in."""
-    read_in = {"t": layout.time_unit} if layout.rate is None else {}
+    read_in: dict[str, str] = {"t": layout.time_unit} if layout.rate is None else {}
     read_in |= dict.fromkeys(POSITION_COLUMNS, layout.length_unit) | dict.fromkeys(FIELD_COLUMNS, layout.field_unit)
     for theirs, ours in chosen.ours.items():
         stated = next(iter(header_of([theirs]).units.values()), read_in.get(ours))
