@@ -34,3 +34,14 @@ def told(number: float, digits: int = 15, step: float | None = None) -> str:
     if step is not None and isfinite(number) and abs(number) > step:
         digits = max(digits, ceil(log10(abs(number) / step)))
     return f"{number:.{digits}g}"
+
+
+def many(n: int, what: str) -> str:
+    """A count with its noun, whose plural ends in s.
+
+    Examples
+    --------
+    >>> many(1, "gap"), many(2, "gap")
+    ('1 gap', '2 gaps')
+    """
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"

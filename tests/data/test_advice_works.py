@@ -143,7 +143,7 @@ def test_a_row_without_a_reading_may_be_left_out_as_the_message_says(case, tmp_p
         read_survey(tmp_path / "s.csv", SurveyFormat(field_unit="uT"))
     survey = read_survey(tmp_path / "s.csv", SurveyFormat(field_unit="uT", recover=True))
     np.testing.assert_array_equal(survey.times, NUMBERS[:, 0])
-    assert "left out 1 rows" in caplog.text
+    assert "left out 1 row" in caplog.text
 
 
 def poses(header, numbers=POSES, mark=" "):

@@ -62,7 +62,7 @@ def test_impossible_survey_is_refused(name, room):
 SAID = {
     "line": (lambda s: replace(s, positions=s.positions[:, :1] * [1.0, 2.0, 0.0]), "one line"),
     "tilted plane": (lambda s: replace(s, positions=s.positions @ tilted_plane()), "one plane"),
-    "time gap": (lambda s: replace(s, times=s.times + 60 * (s.times > 10)), "1 gaps, 60.5 s in all"),
+    "time gap": (lambda s: replace(s, times=s.times + 60 * (s.times > 10)), "1 gap, 60.5 s in all"),
     "standing still": (lambda s: replace(s, positions=np.repeat(s.positions[::5], 5, axis=0)), "repeat the position"),
     "stuck sensor": (lambda s: replace(s, field=np.repeat(s.field[::5], 5, axis=0)), "repeat the field"),
     "constant field": (lambda s: replace(s, field=0 * s.field + 30e-6), "field is constant"),

@@ -106,3 +106,33 @@ def test_a_column_of_times_with_another_name_is_said_to_be_left_out(name, frame,
         with caplog.at_level(logging.WARNING):
             assert read().times is None
         assert f"'{name.lower()}' is left out; if it holds the times: --columns t=" in caplog.text.lower()
+
+
+def test_an_index_of_stamps_in_parquet_is_said(frame, tmp_path, caplog):
+    pytest.importorskip("pyarrow")
+    frame.set_index(1_700_000_000_000_000_000 + np.arange(N) ** 2).to_parquet(tmp_path / "s.parquet")
+    assert read_survey(tmp_path / "s.parquet").times is None
+    assert "its index without a name is left out" in caplog.text
+
+
+def test_an_index_that_counts_rows_in_parquet_is_not_worth_a_word(frame, tmp_path, caplog):
+    pytest.importorskip("pyarrow")
+    frame.set_index(np.arange(N) ** 2).to_parquet(tmp_path / "s.parquet")
+    read_survey(tmp_path / "s.parquet")
+    assert "index" not in caplog.text
+
+
+def test_an_index_that_a_second_writing_named_is_said(frame, dates, tmp_path, caplog):
+    frame.insert(0, "Unnamed: 0", dates)
+    frame.to_csv(tmp_path / "s.csv", index=False)
+    read_survey(tmp_path / "s.csv")
+    assert "a column without a name is left out" in caplog.text
+
+
+def test_times_of_a_matlab_file_that_are_no_numbers_are_said(frame, tmp_path, caplog):
+    from scipy.io import savemat
+
+    arrays = {name: frame[name].to_numpy() for name in frame}
+    savemat(tmp_path / "s.mat", arrays | {"t": np.array([f"10:00:{k:02d}" for k in range(N)])})
+    assert read_survey(tmp_path / "s.mat").times is None
+    assert "its 't' holds no column of real numbers and is left out" in caplog.text

@@ -9,6 +9,7 @@ import pytest
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.errors import DataFormatError
+from magmatch.number_text import many
 
 N = 60
 
@@ -74,7 +75,7 @@ def test_rows_that_cannot_be_read_are_left_out_when_asked_for(name, rows, tmp_pa
     kept = [i for i in range(N) if change(i, ["0"] * 7) == ["0"] * 7]
     np.testing.assert_array_equal(survey.positions, rows[kept, 1:4])
     assert len(survey) == N - n_lost
-    assert f"left out {n_lost} rows that cannot be read, the first: {path}, line {line}" in caplog.text
+    assert f"left out {many(n_lost, 'row')} that cannot be read, the first: {path}, line {line}" in caplog.text
 
 
 def test_nothing_but_damage_is_refused_all_the_same(rows, tmp_path):

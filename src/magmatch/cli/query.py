@@ -40,6 +40,7 @@ def query(
     from magmatch.data.survey_columns import origin_of
     from magmatch.data.tables.table import write_table
     from magmatch.field.query import query_map
+    from magmatch.number_text import many
 
     check_outputs((out,), inputs=(field_map, points))
     loaded = read_map(field_map)  # first: what is swapped is no map
@@ -48,4 +49,4 @@ def query(
     table = query_map(loaded, p_map, with_gradient=gradient)
     write_table(out, table)
     n_known = int(loaded.knows(p_map).sum())
-    say(f"Wrote {len(p_map)} points to {out}; the map knows the field at {n_known} of them")
+    say(f"Wrote {many(len(p_map), 'point')} to {out}; the map knows the field at {n_known} of them")

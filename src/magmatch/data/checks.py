@@ -21,7 +21,7 @@ from magmatch.data.units import (
     likely_field_unit,
 )
 from magmatch.errors import SurveyError
-from magmatch.number_text import told
+from magmatch.number_text import many, told
 from magmatch.typing import Indices, Scalars
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
@@ -258,7 +258,7 @@ def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
         return
     gaps = time_gaps(survey)
     if len(gaps):
-        yield f"time has {len(gaps)} gaps, {gaps.sum():.3g} s in all, the longest {gaps.max():.3g} s"
+        yield f"time has {many(len(gaps), 'gap')}, {gaps.sum():.3g} s in all, the longest {gaps.max():.3g} s"
 
 
 def _likely_time_unit(survey: Survey) -> TimeUnit | None:

@@ -33,8 +33,9 @@ logger = logging.getLogger(__name__)
 _NOT_A_SURVEY: Mapping[FileKind, str] = {
     "map": "is a saved map, expected a survey; load it with FieldMap.load, its samples are in .survey",
     "registration": "is a registration result, expected a survey",
-    "tum": "holds rows of 8 numbers without a header: a TUM trajectory has no field. Expected a survey CSV with a "
-    "header row, or columns by number (--columns t=1,x=2,...); pass a trajectory beside it (--trajectory)",
+    "tum": "holds poses, as rows of 8 numbers or by the names in its header: a TUM trajectory has no field. Expected "
+    "a survey CSV with a header row, or columns by number (--columns t=1,x=2,...); pass a trajectory beside it "
+    "(--trajectory)",
 }
 
 

@@ -94,7 +94,8 @@ def stuck_axes(survey: Survey) -> list[str]:
         size = float(np.median(np.linalg.norm(readings, axis=1)))
         dead = {way: "" for way, b in _ways(readings).items() if float(np.ptp(b)) <= ROUNDING * size}
     else:
-        turned = survey.orientations.apply(survey.field.mean(axis=0), inverse=True)
+        # The median: rows in another unit are no field that turns would show.
+        turned = survey.orientations.apply(np.median(survey.field, axis=0), inverse=True)
         dead = _dead_ways(readings, turned)
         stuck = {way[0]: words for way, words in dead.items() if len(way) == 1} | stuck
         stuck = _stuck_for_a_while(readings, turned, survey.times) | stuck

@@ -15,6 +15,7 @@ from magmatch.arguments import found
 from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, what_is_wrong
 from magmatch.data.tables.frames import table_of_frame
 from magmatch.data.tables.header_names import header_of
+from magmatch.data.tables.number_marks import plain_text
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text_rows import require_stated
@@ -114,7 +115,7 @@ def _guessed(free: Sequence[str], stated: Collection[str], *, has_poses: bool) -
 def constant_of(text: str) -> float | None:
     """The number that a text is, unless it counts columns: those are whole and begin at 1."""
     try:
-        value = float(text)
+        value = float(plain_text(text))
     except ValueError:
         return None
     return value if isfinite(value) and not (text.isdecimal() and value >= 1) else None

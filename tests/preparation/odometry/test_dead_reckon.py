@@ -162,7 +162,7 @@ def test_someone_who_stands_is_no_walk():
 
 def test_gaps_are_said(caplog):
     dead_reckon(changed("rate", times=lambda t: t + 0.5 * (t > 20)))
-    assert "has 1 gaps, the longest 0.51 s" in caplog.text
+    assert "has 1 gap, the longest 0.51 s" in caplog.text
 
 
 def test_poses_reach_the_last_reading_of_both_sensors():

@@ -43,11 +43,12 @@ def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
 
 def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
     """Say that a column without a name is left out, unless it counts the rows: pandas so writes an index of times."""
-    if "" not in table.names or table.has("t"):
+    name = next((name for name in ("", "unnamed: 0") if name in table.names), None)
+    if name is None or table.has("t"):
         return
     path = table.path
     try:
-        values = read_table(path, ("",), recover=layout.recover, decimal=table.decimal).columns[""]
+        values = read_table(path, (name,), recover=layout.recover, decimal=table.decimal).columns[name]
         is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
     except DataFormatError:
         is_count = False
@@ -97,7 +98,11 @@ def recording_of_table(
     table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
 ) -> Recording:
     """Join field samples with the poses of a trajectory file."""
-    hint = advise(table.names) if table.has("t") else "With a trajectory the samples need times on its clock"
+    hint = advise(table.names)
+    if not table.has("t"):
+        hint = "With a trajectory the samples need times on its clock" + (
+            "" if table.has(*FIELD_COLUMNS) else f". {hint}"
+        )
     table.require(["t", *FIELD_COLUMNS], hint)
     table.require_increasing("t")
     ignored = [name for name in (*POSITION_COLUMNS, *GLOBAL_COLUMNS, *QUATERNION) if table.has(name)]
@@ -119,7 +124,10 @@ def read_points(path: str | Path, layout: SurveyFormat) -> Points:
         own = (*POSITION_COLUMNS, *GLOBAL_COLUMNS) if layout.origin else POSITION_COLUMNS
         return {theirs: ours for theirs, ours in choose_columns(path, names, {}).ours.items() if ours in own}
 
-    table = read_table(path, POSITION_COLUMNS, choose=choose)
+    advice = "The points need a header row of these names, in metres (or --length-unit)"
+    if layout.origin is None:
+        advice += "; latitude and longitude are for maps about an origin"
+    table = read_table(path, POSITION_COLUMNS, choose=choose, advise=lambda _: advice)
     table = table.renamed(choose(table.names))
     names, metre = position_columns(table), METRE_PER_UNIT[layout.length_unit]
     table.require(names)

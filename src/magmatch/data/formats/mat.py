@@ -25,6 +25,7 @@ from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError, MagmatchError, import_extra
+from magmatch.number_text import many
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
@@ -56,6 +57,8 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
         there = [text for text in stated.values() if text.partition(":")[0] in arrays]
         missing = [text for text in stated.values() if text not in there and constant_of(text) is None]
         names = list(dict.fromkeys([*there, *vectors]))
+        if "t" not in (*stated, *vectors) and layout.rate is None and _has_times(place, is_v5=is_v5):
+            logger.warning("%s: has no column t: its 't' holds no column of real numbers and is left out", path)
         if missing or not set(names) - {"t"}:
             expected = ", ".join(missing) or "x, y, z, bx, by, bz"
             found = ", ".join(_listing(place, is_v5=is_v5))
@@ -74,6 +77,11 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
         # Only for the message about what is missing: it costs another look at the file.
         is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
         return table if is_whole else replace(table, names=_listing(place, is_v5=is_v5))
+
+
+def _has_times(path: Path, *, is_v5: bool) -> bool:
+    """Whether something of whatever kind is called t."""
+    return any(name.partition(" ")[0].lower() == "t" for name in _listing(path, is_v5=is_v5))
 
 
 def advice_for_arrays(_names: Sequence[str] = ()) -> str:
@@ -95,7 +103,8 @@ def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Tabl
         if not recover or not is_finite.any():
             message = f"{found.message}; --recover leaves such rows out"
             raise DataFormatError(path, message, line=found.line, column=name)
-        logger.warning("%s: left out %d rows that cannot be read, the first: %s", path, (~is_finite).sum(), found)
+        left_out = many(int((~is_finite).sum()), "row")
+        logger.warning("%s: left out %s that cannot be read, the first: %s", path, left_out, found)
     numbers = np.flatnonzero(is_finite)
     return Table(path, tuple(columns), {k: v[numbers] for k, v in columns.items()}, numbers + 1, ())
 

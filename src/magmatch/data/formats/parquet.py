@@ -14,6 +14,7 @@ from magmatch.atomic import atomic_write
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, choose_columns
+from magmatch.data.tables.frames import NO_ROW_NUMBER
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.pipes import at_rest
@@ -55,14 +56,17 @@ def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:
     """The times among what pandas calls an index without a name: increasing dates; of others a warning says so."""
     for name in file.schema_arrow.names:
         kind = file.schema_arrow.field(name).type
-        if not name.startswith("__index_level_") or pa.types.is_integer(kind):
+        if not name.startswith("__index_level_"):
             continue
+        is_date, is_whole = pa.types.is_timestamp(kind), pa.types.is_integer(kind)
         try:
-            values = _columns(path, file, [name], pa, {})[name] if pa.types.is_timestamp(kind) else np.zeros(2)
+            values = _columns(path, file, [name], pa, {})[name] if is_date or is_whole else np.zeros(2)
         except DataFormatError:  # a date is missing
             values = np.zeros(2)
-        if (np.diff(values) > 0).all():
+        if is_date and (np.diff(values) > 0).all():
             return {name: "t"}
+        if is_whole and np.abs(values).max() < NO_ROW_NUMBER:
+            continue
         words = "%s: has no column t, and its index without a name is left out; if it holds the times: --columns t=%s"
         logger.warning(words, path, name)
     return {}
@@ -134,9 +138,8 @@ def _columns(
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
     is_number = pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind)
     if not is_number:
-        raise DataFormatError(
-            path, f"expected a column of numbers, found {str(kind)[:60]}; store it as float64", column=name
-        )
+        advice = "store it as float64, or as time stamps if it holds times"
+        raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}; {advice}", column=name)
 
 
 def _numbers(path: Path, name: str, column: Any, first: int, pa: Any, per_unit: float) -> Scalars:

@@ -13,6 +13,7 @@ from magmatch.data.formats.channels import NO_CHANNELS, Channels
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
+from magmatch.number_text import many, told
 from magmatch.typing import Scalars, Vectors
 
 logger = logging.getLogger(__name__)
@@ -66,10 +67,10 @@ class Recording:
         is_covered = poses.covers(times)
         n_covered = int(is_covered.sum())
         if n_covered == 0:
-            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "nothing"
+            span = _span(times) if len(times) else "nothing"
             message = (
                 f"no sample lies within the trajectory: the field covers {span}, "
-                f"{self.poses_from or 'the poses'} covers {poses.times[0]:.3f} to {poses.times[-1]:.3f} s; "
+                f"{self.poses_from or 'the poses'} covers {_span(poses.times)}; "
                 "both need the same clock"
             )
             raise DataFormatError(self.path, message, column="t")
@@ -93,6 +94,12 @@ class Recording:
         n_in_gaps = int((intervals[before] > limit).sum())
         if n_in_gaps:
             logger.warning(
-                "%s: %d samples lie in gaps of the trajectory longer than %.3g s; their poses are interpolated",
-                self.path, n_in_gaps, limit,
+                "%s: %s in gaps of the trajectory longer than %.3g s; their poses are interpolated",
+                self.path, many(n_in_gaps, "sample") + (" lies" if n_in_gaps == 1 else " lie"), limit,
             )  # fmt: skip
+
+
+def _span(times: Scalars) -> str:
+    """First and last time, in milliseconds unless these are the same."""
+    first, last = (f"{t:.3f}" for t in times[[0, -1]])
+    return f"{first} to {last} s" if first != last else f"{told(times[0])} to {told(times[-1])} s"

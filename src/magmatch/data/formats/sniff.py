@@ -20,10 +20,11 @@ from magmatch.data.formats.phones.containers import (
 from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.tables.gzipped import is_gzip
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import is_folder, read_bytes, text_lines
-from magmatch.data.tables.text_rows import is_row, stated_delimiter
+from magmatch.data.tables.text_rows import delimiter_of, is_row, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.errors import DataFormatError
 
@@ -109,17 +110,27 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
         head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
     lines = [line.strip() for line in text_lines(path, head)]
     rows = [line for line in lines if is_row(line)][:2]
-    if rows and stated_delimiter(rows[0]):
+    mark = stated_delimiter(rows[0]) if rows else None
+    if mark:
         rows.pop(0)
     first = rows[0] if rows else ""
     if is_phone_header(first):
         return "phone"
     cells = first.split()
-    if len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells)):
+    if (len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells))) or _names_poses(path, first, mark):
         return "tum"
     above = itertools.takewhile(lambda line: not line or line.startswith("#"), lines)
     is_euroc = any(_is_euroc_header(line) for line in above)
     return "euroc" if is_euroc and all(map(is_number, first.rstrip(", \t").split(","))) else "csv"
+
+
+def _names_poses(path: str | Path, first: str, mark: str | None) -> bool:
+    """Whether a header names the columns of a trajectory, and nothing that may be a field."""
+    if ";" in first and "," in first:  # read as a survey, which says what is wrong
+        return False
+    header = header_of(split_header(first, mark if mark and mark in first else delimiter_of(path, first, 1)))
+    others = {name for word, name in zip(header.words, header.names, strict=True) if word} - set(TUM_COLUMNS)
+    return header.names_all(TUM_COLUMNS) and others <= {"?"}
 
 
 def _sniff_folder(path: str | Path) -> FileKind:

@@ -1,15 +1,27 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Columns of a survey in a text table, and what to do about a table that lacks them."""
 
+import logging
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.survey_columns import COLUMNS, FRAME_COLUMN, ChosenColumns, choose_columns, column_numbers
+from magmatch.data.survey_columns import (
+    COLUMNS,
+    FIELD_COLUMNS,
+    FRAME_COLUMN,
+    POSITION_COLUMNS,
+    ChosenColumns,
+    choose_columns,
+    column_numbers,
+)
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.table import Table, read_table
 from magmatch.data.tables.text_rows import is_sample
 from magmatch.data.units import DIGITS_OF_SECOND
+
+logger = logging.getLogger(__name__)
 
 
 def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenColumns]:
@@ -30,7 +42,21 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
         decimal=layout.decimal or "",
         digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
     )
-    return table, choose(table.names)
+    chosen = choose(table.names)
+    _warn_of_units(path, chosen, layout)
+    return table, chosen
+
+
+def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat) -> None:
+    """Say so where the name of a column states another unit than the one that it is read in."""
+    read_in: dict[str, str] = {"t": layout.time_unit} if layout.rate is None else {}
+    read_in |= dict.fromkeys(POSITION_COLUMNS, layout.length_unit) | dict.fromkeys(FIELD_COLUMNS, layout.field_unit)
+    for theirs, ours in chosen.ours.items():
+        stated = next(iter(header_of([theirs]).units.values()), read_in.get(ours))
+        if ours in read_in and stated != read_in[ours]:
+            option = "time" if ours == "t" else "length" if ours in POSITION_COLUMNS else "field"
+            words = "%s: column '%s' is read in %s: is that what its name means? (--%s-unit %s)"
+            logger.warning(words, path, theirs, read_in[ours], option, stated)
 
 
 def advice_for(names: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from magmatch.data.units import METRE_PER_UNIT, LengthUnit, TimeUnit
+from magmatch.data.units import METRE_PER_UNIT, FieldUnit, LengthUnit, TimeUnit
 
 # What words before an axis say that it is of: positions, orientations, the field, or another vector.
 _KINDS: Mapping[str, str] = {
@@ -30,7 +30,7 @@ _TIMES = {
     "nsec",
     "nsecs",
 }
-_UNITS: Mapping[str, TimeUnit | LengthUnit] = {
+_UNITS: Mapping[str, TimeUnit | LengthUnit | FieldUnit] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), "ms"),
     **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "microsecond", "microseconds"), "us"),
@@ -38,6 +38,8 @@ _UNITS: Mapping[str, TimeUnit | LengthUnit] = {
     **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
     **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
     **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("ut", "µt", "μt", "microtesla"), "uT"),
+    **dict.fromkeys(("nt", "nanotesla"), "nT"),
 }
 _BRACKETS = re.compile(r"\s*[\[({]([^\[\](){}]*)[\])}]")
 

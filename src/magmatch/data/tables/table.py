@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.data.tables.dates import seconds_of_date
 from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.tables.text import Block, text_blocks
 from magmatch.data.tables.text_rows import (
@@ -26,12 +25,13 @@ from magmatch.data.tables.text_rows import (
     numbered_names,
     numbers_at_once,
     numbers_of,
+    put_seconds,
     split_header,
     split_row,
     stated_delimiter,
 )
 from magmatch.errors import DataFormatError
-from magmatch.number_text import exact, told
+from magmatch.number_text import exact, many, told
 from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
@@ -280,11 +280,9 @@ class _TableReader:
 
     def _put_seconds(self, cells: list[list[str]]) -> None:
         """Write times that are dates as numbers of seconds."""
-        for name in [name for name in self.wanted if self.chosen[name] == "t"]:
-            for row in cells:
-                if (seconds := seconds_of_date(row[self.wanted[name]])) is not None:
-                    row[self.wanted[name]] = repr(seconds).replace(".", "." if self.decimal == "point" else ",")
-                    self.digits = {other: n for other, n in self.digits.items() if other != name}
+        for name in [name for name in self.wanted if self.chosen[name] == "t" or name in self.digits]:
+            if put_seconds(cells, self.wanted[name], self.decimal):
+                self.digits = {other: n for other, n in self.digits.items() if other != name}
 
     def table(self) -> Table:
         """All that was read."""
@@ -296,7 +294,10 @@ class _TableReader:
             if not any(map(len, self.line_numbers)):
                 raise self.first_fault
             logger.warning(
-                "%s: left out %d rows that cannot be read, the first: %s", self.path, self.n_faults, self.first_fault
+                "%s: left out %s that cannot be read, the first: %s",
+                self.path,
+                many(self.n_faults, "row"),
+                self.first_fault,
             )
         if self.has_commas:
             read_as = "decimal commas were read as points"

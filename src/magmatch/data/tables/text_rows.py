@@ -138,10 +138,22 @@ def cells_of(
             if is_last and i == chunk[-1] and len(row) < width:
                 message += "; the file ends in the middle of this line: cut off?"
             if delimiter == "," and len(row) > width and all(map(is_number, row)):
-                advice = "numbers that hold commas need quotes, or semicolons between the cells"
+                advice = (
+                    "numbers that hold commas need quotes, or semicolons between the cells; row numbers need a name"
+                )
                 raise ForeignNumberError(path, f"{message}; {advice}", line=i + 1)
             raise DataFormatError(path, message, line=i + 1)
     return cells
+
+
+def put_seconds(rows: list[list[str]], column: int, decimal: Decimal) -> bool:
+    """Write the dates of a column as numbers of seconds, with the table's decimal mark; whether there are any."""
+    has_dates = False
+    for row in rows:
+        if (seconds := seconds_of_date(row[column])) is not None:
+            row[column] = repr(seconds).replace(".", "." if decimal == "point" else ",")
+            has_dates = True
+    return has_dates
 
 
 def numbers_of(
@@ -240,7 +252,7 @@ def _first_fault(
 def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
     """What to do about a cell that is no number; rows of digits are no damage."""
     if text.count(":") > 1:
-        return DataFormatError, " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)"
+        return ForeignNumberError, " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)"
     if is_number(text):
         others = "points" if decimal == "point" else "commas"
         return ForeignNumberError, f", where other numbers have decimal {others} (write all decimals with a point)"

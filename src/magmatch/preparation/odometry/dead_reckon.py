@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
+from magmatch.number_text import many
 from magmatch.preparation.odometry.attitude import attitude
 from magmatch.preparation.odometry.config import OdometryConfig
 from magmatch.preparation.odometry.steps import Steps, find_steps
@@ -122,8 +123,9 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryCo
             message = f"{stream.source}: {rate:.3g} readings a second, expected at least {SLOWEST:g} for {WHAT_FOR}"
             raise DataFormatError(phone.path, message)
         if intervals.max() > GAP:
-            words = "%s: %s has %d gaps, the longest %.3g s: turns and steps within are lost"
-            log.warning(words, phone.path, stream.source, int((intervals > GAP).sum()), intervals.max())
+            words = "%s: %s has %s, the longest %.3g s: turns and steps within are lost"
+            n_gaps = int((intervals > GAP).sum())
+            log.warning(words, phone.path, stream.source, many(n_gaps, "gap"), intervals.max())
         before = np.clip(np.searchsorted(stream.times, times) - 1, 0, len(intervals) - 1)
         is_between = (times > stream.times[before]) & (times < stream.times[before + 1])
         times = times[~(is_between & (intervals[before] > config.longest_step))]

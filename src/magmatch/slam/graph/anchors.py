@@ -17,7 +17,9 @@ from magmatch.data.tables.text_rows import (
     decimal_of_cells,
     delimiter_of,
     is_row,
+    listed,
     names_of,
+    put_seconds,
     split_row,
     stated_delimiter,
 )
@@ -108,13 +110,14 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     missing = [name for name in COLUMNS if stands_for.get(name, name) not in names]
     if missing:
         columns = f"{', '.join(COLUMNS)} (or {', '.join(DEGREES.values())} for x, y)"
-        message = f"expected columns {columns}; missing {', '.join(missing)}"
+        message = f"expected columns {columns}; missing {', '.join(missing)}; found {listed(names)}"
         raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=first + 1)
     at = [i for i, _ in rest]
     cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
     wanted = {name: names.index(stands_for.get(name, name)) for name in NUMBERS}
     picked = ((i + 1, [row[k] for k in wanted.values()]) for i, row in zip(at, cells, strict=True))
     decimal = decimal_of_cells(path, picked, [stands_for.get(name, name) for name in NUMBERS])
+    put_seconds(cells, wanted["t"], decimal)
     numbers = numbers_in(path, at, cells, wanted, decimal)
     for i, (_, x, y, _, sd) in zip(at, numbers, strict=True):
         if in_degrees and (wrong := what_is_wrong(np.array([x]), np.array([y]))):

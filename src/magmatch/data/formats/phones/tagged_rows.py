@@ -11,14 +11,19 @@ import numpy as np
 from magmatch.data.tables.number_marks import Decimal, number_of_text
 from magmatch.data.tables.text_rows import RECOVER, ForeignNumberError, advice_on
 from magmatch.errors import DataFormatError
+from magmatch.number_text import many
 from magmatch.typing import Indices, Matrix
 
 logger = logging.getLogger(__name__)
 
 
 def lines_of(raw: bytes) -> list[str]:
-    """Lines of a log whose rows are plain ASCII, below a header of whatever the phone's language writes."""
-    return re.split("\r\n?|\n", raw.decode("latin-1"))
+    """Lines of a log: UTF-8, or plain ASCII rows below a header of whatever the phone's language writes."""
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("latin-1")
+    return re.split("\r\n?|\n", text)
 
 
 class TaggedRows:
@@ -50,7 +55,7 @@ class TaggedRows:
     def blocks(self) -> dict[str, tuple[Matrix, Indices]]:
         """Numbers of each sensor of which there are rows, (n, k), and the lines they stand on."""
         if self._rows and self._n_faults:
-            logger.warning("%s: left out %d rows that cannot be read", self.path, self._n_faults)
+            logger.warning("%s: left out %s that cannot be read", self.path, many(self._n_faults, "row"))
         return {tag: (np.array(rows), np.array(self._lines[tag], dtype=np.int64)) for tag, rows in self._rows.items()}
 
     def _fault(self, line: int, cells: Sequence[str]) -> DataFormatError:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Apps that write one text of rows, each row named after its sensor."""
 
+from codecs import BOM_UTF8
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -33,4 +34,5 @@ TEXT_LOGS = (
 
 def text_log_of(head: bytes) -> TextLog | None:
     """Which app's text a file begins like, if any."""
-    return next((log for log in TEXT_LOGS if log.begins_like(head[:HEAD])), None)
+    text = head[:HEAD].removeprefix(BOM_UTF8)
+    return next((log for log in TEXT_LOGS if log.begins_like(text)), None)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files as other programs write them, with marks, dates and names of their own: read, or refused with advice."""
+
+import codecs
+
+import numpy as np
+import pytest
+
+from magmatch.cli.main import main
+from magmatch.data.formats.csv import read_points
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.read import read_survey
+from magmatch.errors import DataFormatError
+from magmatch.slam.graph.anchors import read_anchors
+
+N = 20
+TIMES = np.arange(N) / 10
+FIELD = np.column_stack([20 + TIMES, -3 + TIMES, -40 - TIMES])
+STAMPS = 1_700_000_000_000 + 100 * np.arange(N)  # ms
+NAMES = "t,x,y,z,bx,by,bz"
+
+
+@pytest.fixture
+def poses(tmp_path):
+    path = tmp_path / "poses.tum"
+
+    def write(start):
+        rows = [f"{start + k / 2!r} {k} {k * k % 3} {k % 2} 0 0 0 1" for k in range(-2, 8)]
+        path.write_text("\n".join(rows))
+        return SurveyFormat(trajectory=path)
+
+    return write
+
+
+def get_sensor_data():
+    rows = zip(TIMES.tolist(), FIELD.tolist(), strict=True)
+    return "% Log\n" + "".join(f"MAGN;{t};{t};{x:.3f};{y:.3f};{z:.4f};3\n" for t, (x, y, z) in rows)
+
+
+def xyz10():
+    rows = zip(STAMPS.tolist(), FIELD.tolist(), strict=True)
+    return "# Log\n" + "".join(f"{t}\tTYPE_MAGNETIC_FIELD\t{x}\t{y:.3f}\t{z:.3f}\t3\n" for t, (x, y, z) in rows)
+
+
+TEXT_LOGS = {"GetSensorData": (get_sensor_data, 0), "XYZ10": (xyz10, 1_700_000_000)}
+EDITED = {
+    "typographic minus": lambda text: text.replace("-", "\u2212").encode(),
+    "byte order mark": lambda text: codecs.BOM_UTF8 + text.replace("\n", "\r\n").encode(),
+    "a header in Latin-1": lambda text: text.replace("Log", "Gerät", 1).encode("latin-1"),
+}
+
+
+@pytest.mark.parametrize("edit", EDITED)
+@pytest.mark.parametrize("app", TEXT_LOGS)
+def test_a_text_log_of_a_phone_is_read_as_editors_save_it(app, edit, tmp_path, poses):
+    text, start = TEXT_LOGS[app]
+    (tmp_path / "log.txt").write_bytes(EDITED[edit](text()))
+    survey = read_survey(tmp_path / "log.txt", poses(start))
+    np.testing.assert_allclose(survey.field, 1e-6 * FIELD, atol=1e-9)
+
+
+def test_sensor_logger_may_write_dates(tmp_path, poses):
+    rows = (f"2023-11-14T22:13:{20 + t:06.3f}Z,{t},{z},{y},{x}\n" for t, (x, y, z) in zip(TIMES, FIELD, strict=True))
+    (tmp_path / "Magnetometer.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
+    survey = read_survey(tmp_path / "Magnetometer.csv", poses(1_700_000_000))
+    np.testing.assert_allclose(survey.times, 1_700_000_000 + TIMES, rtol=0, atol=1e-6)
+
+
+def test_a_message_shows_times_that_differ(tmp_path, poses):
+    rows = (f"{ns},{k},{z},{y},{x}\n" for k, (ns, (x, y, z)) in enumerate(zip(STAMPS, FIELD, strict=True)))
+    (tmp_path / "Magnetometer.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
+    with pytest.raises(DataFormatError, match=r"the field covers 1700 to 1700\.0000019 s"):
+        read_survey(tmp_path / "Magnetometer.csv", poses(1_700_000_000))
+
+
+@pytest.mark.parametrize(
+    "row", ["walk,2023-11-14T22:13:20.25Z,1.5,2,3,0.1", "walk;2023-11-14 22:13:20,25;1,5;2;3;0,1"]
+)
+def test_fixed_points_may_have_dates(row, tmp_path):
+    header = "log,t,x,y,z,sd".replace(",", row[4])
+    (tmp_path / "points.csv").write_text(f"{header}\n{row}\n")
+    (point,) = read_anchors(tmp_path / "points.csv")
+    assert (point.t, point.position[0]) == (1_700_000_000.25, 1.5)
+
+
+def test_refused_fixed_points_say_what_was_found(tmp_path):
+    (tmp_path / "points.csv").write_text("log,t,x [mm],y [mm],z [mm],sd\nwalk,1,2,3,4,0.1\n")
+    with pytest.raises(DataFormatError, match=r"missing x, y, z; found log, t, x \[mm\]"):
+        read_anchors(tmp_path / "points.csv")
+
+
+@pytest.mark.parametrize("date", ["01.05.2024 10:00:00", "5/1/2024 10:00:00 AM", "10:00:00.25"])
+def test_dates_that_are_not_read_are_no_damage(date, tmp_path):
+    """Leaving out such rows would leave none."""
+    (tmp_path / "walk.csv").write_text(f"{NAMES}\n" + f"{date},1,2,3,2e-5,0,4e-5\n" * N)
+    with pytest.raises(DataFormatError, match="dates such as") as refusal:
+        read_survey(tmp_path / "walk.csv")
+    assert "--recover" not in str(refusal.value)
+
+
+def test_times_and_field_under_other_names_are_both_asked_for(tmp_path, poses):
+    (tmp_path / "field.csv").write_text("time,x,y,z\n" + "0,1,2,3\n" * N)
+    with pytest.raises(DataFormatError, match=r"needs? times on its clock\. .*--columns"):
+        read_survey(tmp_path / "field.csv", poses(0))
+
+
+@pytest.mark.parametrize(("text", "height"), [("\u22121.5", -1.5), ("+2", 2), ("1e0", 1), ("-1", -1)])
+def test_a_constant_may_be_written_in_several_ways(text, height, tmp_path):
+    rows = zip(TIMES.tolist(), (1e-6 * FIELD).tolist(), strict=True)
+    lines = (f"{t},{t},{t * t},{x},{y},{z}\n" for t, (x, y, z) in rows)
+    (tmp_path / "flat.csv").write_text(f"{NAMES.replace('z,b', 'b')}\n" + "".join(lines))
+    survey = read_survey(tmp_path / "flat.csv", SurveyFormat(columns=f"z={text}"))
+    assert set(survey.positions[:, 2]) == {height}
+
+
+HEADERS = {
+    "capitals": "T,X,Y,Z,QX,QY,QZ,QW",
+    "units": "time (s);pos_x (m);pos_y (m);pos_z (m);qx;qy;qz;qw",
+    "words": "Time\tPosition X\tPosition Y\tPosition Z\tRotation X\tRotation Y\tRotation Z\tRotation W",
+    "row numbers": ",t,x,y,z,qx,qy,qz,qw",
+    "sep=": "sep=|\nt|x|y|z|qx|qy|qz|qw",
+}
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_poses_under_a_header_are_converted_and_told(case, tmp_path):
+    header = HEADERS[case]
+    mark = next(mark for mark in "|;\t," if mark in header)
+    numbers = [[k] * header.startswith(",") + [k, k + 1, 2, 3, 0, 0, 1, 0] for k in range(5)]
+    rows = [mark.join(map(str, row)) for row in numbers]
+    (tmp_path / "poses.txt").write_text("\n".join([header, *rows, ""]))
+    assert main(["convert", str(tmp_path / "poses.txt"), str(tmp_path / "out.tum")]) == 0
+    np.testing.assert_array_equal(np.loadtxt(tmp_path / "out.tum")[3], [3, 4, 2, 3, 0, 0, 1, 0])
+    assert main(["info", str(tmp_path / "poses.txt")]) == 0
+
+
+@pytest.mark.parametrize("names", ["qx,qy,qz,qw,hx,hy,hz", "qx,qy,qz,qw,mag_x,mag_y,mag_z"])
+def test_a_survey_with_orientations_and_names_of_its_own_is_no_trajectory(names, tmp_path):
+    rows = "".join(f"{t},{t},{t * t},0,0,0,0,1,2e-5,{t * 1e-6},4e-5\n" for t in TIMES.tolist())
+    (tmp_path / "walk.csv").write_text(f"t,x,y,z,{names}\n{rows}")
+    with pytest.raises(DataFormatError, match=r"missing bx, by, bz.*--columns"):
+        read_survey(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize("text", ["1,2,3\n", "x [mm],y [mm],z [mm]\n1,2,3\n", "lat,lon,alt\n48,11,1\n"])
+def test_refused_points_say_how_to_name_them(text, tmp_path):
+    (tmp_path / "points.csv").write_text(text)
+    with pytest.raises(DataFormatError, match="need a header row of these names"):
+        read_points(tmp_path / "points.csv", SurveyFormat())
+
+
+@pytest.mark.parametrize(
+    ("theirs", "options", "words"),
+    [
+        (
+            "bx [nT]",
+            {"field_unit": "uT"},
+            "column 'bx [nt]' is read in uT: is that what its name means? (--field-unit nT)",
+        ),
+        ("x_mm", {"field_unit": "uT"}, "column 'x_mm' is read in m: is that what its name means? (--length-unit mm)"),
+        ("bx (µT)", {"field_unit": "uT"}, ""),
+        ("x [mm]", {"field_unit": "uT", "length_unit": "mm"}, ""),
+    ],
+)
+def test_a_name_that_states_another_unit_than_the_option_is_told(theirs, options, words, tmp_path, caplog):
+    ours = "bx" if theirs.startswith("bx") else "x"
+    rows = (f"{t},{t},{t * t},{t % 0.3},{x},{y},{z}\n" for t, (x, y, z) in zip(TIMES, FIELD, strict=True))
+    names = NAMES.replace(f",{ours},", f",{theirs},")
+    (tmp_path / "walk.csv").write_text(f"{names}\n{''.join(rows)}")
+    read_survey(tmp_path / "walk.csv", SurveyFormat(columns=f"{ours}={theirs}", **options))
+    assert words in caplog.text
+    assert ("its name means" in caplog.text) == bool(words)
