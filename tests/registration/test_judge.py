@@ -141,6 +141,7 @@ def test_poses_that_are_no_transforms_are_refused(place, candidates, error, word
 def test_the_published_method_takes_no_candidates_and_a_folder_none_either(place, tmp_path):
     with pytest.raises(ConfigurationError, match="weighs no poses but its own"):
         mm.judge(place.base, place.target, [place.T], mm.PRESETS["paper"])
-    place.base.save(tmp_path / "room.map")
+    for name in ("room.map", "same.map"):
+        place.base.save(tmp_path / name)
     with pytest.raises(ConfigurationError, match="give one map as the base"):
         mm.register(tmp_path, place.target, candidates=[place.T])

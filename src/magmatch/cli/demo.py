@@ -54,9 +54,8 @@ def demo(
     try:
         from magmatch.viz.pages.registration_page import write_report
 
-        assert used is not None  # a survey was given
         target_map, command = as_map(mapped, settings.field), f"magmatch demo --seed {seed}"
-        write_report(out / "report.html", map_of(used), target_map, result, command)
+        write_report(out / "report.html", map_of(used), target_map, result, command)  # type: ignore[arg-type]
     except MissingExtraError as error:
         report = None
         say(f"No report: {error}")
