@@ -188,7 +188,7 @@ def _of_two_frames(walked: "_Walked", orientations: Rotation, own: float) -> Ite
 
 
 def _conventions(field: Vectors, q: Rotation) -> dict[str, Turned]:
-    """As declared, and had each mistake been made: the readings, and what turns them."""
+    """List readings, and what turns them, as declared and had each mistake been made."""
     read, numbers = q.apply(field, inverse=True), q.as_quat()
     first, last = (Rotation.from_quat(np.roll(numbers, k, axis=1)) for k in (-1, 1))
     return {
@@ -288,7 +288,7 @@ class _Walked:
         return np.asarray(orientations[self.rows].apply(self.direction @ axes.T, inverse=True))
 
     def variance(self, orientations: Rotation, axes: np.ndarray) -> float:
-        """Of directions so seen: 0 where all are alike, as of a sensor that is carried along; 1 where they cancel."""
+        """Give the spread of directions so seen: 0 where all are alike (a carried sensor), 1 where they cancel."""
         return 1.0 - float((self.seen_by(orientations, axes).mean(axis=0) ** 2).sum())
 
     def disagreement(self, orientations: Rotation) -> tuple[Rotation, str]:

@@ -64,7 +64,7 @@ class Turned:
     any_axes: bool = False  # whether the readings' axes may be others, too
 
     def subset(self, rows: slice) -> "Turned":
-        """Of some rows."""
+        """Keep some rows."""
         turned_by = None if self.turned_by is None else self.turned_by[rows]
         return Turned(self.readings[rows], turned_by, self.carried_by[rows], self.any_axes)
 
@@ -83,7 +83,7 @@ class Hypothesis:
 
     @property
     def n_mistakes(self) -> int:
-        """Of conventions and of axes."""
+        """Count mistakes: of conventions, and of axes."""
         return (self.convention != DECLARED) + (self.axes != OWN)
 
 
@@ -257,7 +257,7 @@ class _Gram:
 
     @classmethod
     def of(cls, field: np.ndarray, near: tuple[Indices, Indices]) -> "_Gram":
-        """Of a field (n, 3, 9) for each number."""
+        """Sum the products of a field (n, 3, 9), a column for each number."""
         offset = (field - field.mean(axis=0)).reshape(-1, 9)
         between = (field[near[0]] - field[near[1]]).reshape(-1, 9)
         return cls(offset.T @ offset / len(field), between.T @ between / len(near[0]))

@@ -140,7 +140,7 @@ def _stuck_for_a_while(readings: Vectors, turned: Vectors, times: Scalars | None
 
 
 def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
-    """Of each axis that is stuck the value (T), and which readings (n, 3) are at it."""
+    """Find axes that are stuck: the value (T) of each, and which readings (n, 3) are at it."""
     found = {}
     for axis, levels in enumerate(Levels.of(readings)):
         most = int(levels.counts.argmax())

@@ -35,7 +35,7 @@ class Fitted(Protocol):
         """Posterior mean of the field."""
 
     def knows(self, points: Points) -> Mask:
-        """Where the field counts as known."""
+        """Tell where the field counts as known."""
 
 
 def excess(fitted: Fitted, samples: Survey) -> str:

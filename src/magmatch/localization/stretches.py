@@ -29,7 +29,7 @@ class Stretch:
 
     @property
     def rows(self) -> slice:
-        """As an index."""
+        """Give the samples as an index."""
         return slice(self.first, self.last + 1)
 
 
@@ -46,7 +46,7 @@ def stretches(estimates: Sequence[Estimate]) -> list[Stretch]:
 
 
 def agreement(a: Sequence[Estimate], b: Sequence[Estimate]) -> tuple[Mask, Mask]:
-    """Where both directions state a pose, and where these agree, (n,) each."""
+    """Tell where both directions state a pose, and where these agree: (n,) each."""
     both = np.array([x.is_stated and y.is_stated for x, y in zip(a, b, strict=True)], dtype=np.bool_)
     agree = both.copy()
     for n in np.flatnonzero(both).tolist():

@@ -115,7 +115,7 @@ def _pose_frames(text: str) -> Frames:
 def _extrinsic(
     log: Log, topics: list[Topic], layout: SurveyFormat, tree: FrameTree, poses: Poses, sensor: str
 ) -> RigidTransform | None:
-    """Where the sensor sits on the body: stated, or from wherever the log says it."""
+    """Give the sensor's place on the body: as stated, or from wherever the log says it."""
     if layout.extrinsic is not None:
         return read_extrinsic(layout.extrinsic)
     if poses.source is not None or not sensor or sensor == poses.body:

@@ -85,7 +85,7 @@ def read_phone_recording(
 
 
 def _odometry_hint(path: str | Path) -> str:
-    """Where poses may come from, if the log holds what they are made of."""
+    """Say where poses may come from, if the log holds what they are made of."""
     try:
         found = read_phone_log(path, recover=True).streams.keys()
     except DataFormatError:
