@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.result import NO_LINKS, Links
-
 # Distinct poses that a search hands on, at most.
 N_CANDIDATES = 8
 
@@ -18,8 +16,6 @@ class SearchResult:
     poses: tuple[RigidTransform, ...] = ()  # distinct ``T_base_target``, best first; empty if nothing was found
     n_keypoints: int = 0
     n_correspondences: int = 0
-    n_inliers: int = 0  # of the best pose
-    links: Links = NO_LINKS  # corresponding points that support it
     # Whether all poses are refined, however clear the first are: those of somebody else are in no order.
     is_unordered: bool = False
 
