@@ -5,10 +5,8 @@ import pytest
 
 import magmatch as mm
 from magmatch.geometry import log_se3, random_transform, transform_error
-from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 from magmatch.simulation.config import SimulationConfig
@@ -87,7 +85,7 @@ def one_sided(index, target):
     config = PRESETS["default"]
     walks, evidence = index.walks, config.walks.evidence
     assert not walks.noise.is_learned  # one pass only
-    strategy = WalkStrategy(target, target, config, 0, lambda: MapStrategy.of(target, config, 0, Clock()))
+    strategy = WalkStrategy(target, target, config, 0)
     walk = strategy.pair(index)
     starts = strategy.search(walk).poses
     best = weigh_walk(walks.base, walk.target, starts, walks.noise, walks.length, walk.prior, evidence)[0]

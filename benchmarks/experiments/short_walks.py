@@ -26,7 +26,6 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import index_walks
-from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import tabulate_pairs
 from magmatch.registration.steps import settle_and_decide
@@ -92,7 +91,7 @@ def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
 def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.RegistrationResult:
     """Search, refine and decide by pairs of points alone."""
     clock = Clock()
-    strategy = WalkStrategy(target, target, CONFIG, seed, lambda: MapStrategy.of(target, CONFIG, seed, clock))
+    strategy = WalkStrategy(target, target, CONFIG, seed)
     pair = strategy.pair(index)
     weighed = strategy.refine_and_weigh(pair, strategy.search(pair))
     return settle_and_decide(weighed, CONFIG.decision, clock)

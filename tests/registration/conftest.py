@@ -58,6 +58,10 @@ class ExactPosterior:
         size = 3 if order == 0 else 12
         return np.tile(1e-14 * np.eye(size), (len(points), 1, 1))
 
+    def influence(self, points):
+        # Of the constant field, in units of the noise.
+        return np.kron(np.ones((len(points), len(points))), 1e-14 / self.hyperparameters.noise_sd**2 * np.eye(3))
+
     def draw_weights(self, n_draws, rng):
         return 1e-7 * rng.standard_normal((n_draws, 3))
 

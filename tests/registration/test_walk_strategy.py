@@ -24,7 +24,7 @@ BEST = LineEvidence(
     T_POSE, POSITIONS.mean(axis=0), np.diag(SD**2), overlap=0.75, log_evidence=60.0, attainable=80.0, misfit=1.3,
     is_covered=np.arange(20) < 15,
 )  # fmt: skip
-STRATEGY = WalkStrategy(None, None, RegistrationConfig(), 0, lambda: None)
+STRATEGY = WalkStrategy(None, None, RegistrationConfig(), 0)
 PAIR = Pair(
     WalkIndex(prepared_map(some_field(1), POSITIONS), 2.0, LEARNED, LEARNED, None),
     WALK,

@@ -3,7 +3,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -11,11 +10,9 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
 from magmatch.geometry import is_one_pose, transform_error
-from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.posterior import effective_evidence, needed_evidence
 from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.walk_strategy import WalkPair, WalkStrategy
@@ -39,7 +36,7 @@ def naming_drift(
         return answer
     if not has_path_order(samples.positions):
         return answer
-    strategy = WalkStrategy(samples, samples, config, 0, partial(MapStrategy.of, samples, config, 0, Clock()))
+    strategy = WalkStrategy(samples, samples, config, 0)
     pair = strategy.pair(index)
     best = pair.T_base_model.inv() * answer.best_pose * pair.T_target_model
     halves, whole = _weigh_in_halves(strategy, pair, best)

@@ -53,21 +53,21 @@ def register_once(
         return base, target_map, answer_of(published)
     with clock("prepare"):
         bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base, config), config)
-    weighed, tried = dict[Any, Weighed[Any, Any, Any]](), list[tuple[Any, Target, RegistrationResult]]()
+    weighed = dict[Any, Weighed[Any, Any, Any]]()
+    best, answer = None, None
     for strategy in strategies(bases.length, target, samples, config, seed, clock):
-        # Another strategy is another look at the map that was most probable.
-        likely = [tried[-1][0]] if tried else _likely(bases, strategy, clock)
+        # Another strategy is another look at the map that was most probable; the likelier of both looks counts.
+        likely = _likely(bases, strategy, clock) if best is None else [best]
         for one in likely:
-            weighed[one] = weigh(bases, one, likely, strategy, given, clock)
+            looks = weigh(bases, one, likely, strategy, given, clock), *(weighed[k] for k in weighed if k is one)
+            weighed[one] = max(looks, key=lambda look: look.best_log_odds)
         best, answer = decide_among(bases, weighed, clock)
-        tried.append((best, strategy.target, answer))
         if answer.is_accepted:
             break
-    # None accepted: the more probable refusal, or the first if both are equal.
-    best, used, answer = max(tried, key=lambda found: (found[2].is_accepted, found[2].probability or 0))
+    assert answer is not None  # there is always a strategy
     index = bases.load(best)
     with clock("decide"):
-        return index, used, naming_drift(answer, index, samples, config)
+        return index, weighed[best].strategy.target, naming_drift(answer, index, samples, config)
 
 
 def _likely(bases: Bases, strategy: Strategy[Any, Any, Any], clock: Clock) -> list[Any]:

@@ -2,7 +2,6 @@
 """The strategies for a target, in the order they are tried."""
 
 from collections.abc import Iterator
-from functools import cache
 from typing import Any
 
 from magmatch.data.survey import Survey
@@ -24,11 +23,10 @@ def strategies(
     The target is mapped only when that strategy is used.
     """
     search = choose_search(samples, length) if config.search == "auto" else config.search
-    mapped = cache(lambda: MapStrategy.of(target, config, seed, clock))
-    walk = WalkStrategy(target, samples, config, seed, mapped)
+    walk = WalkStrategy(target, samples, config, seed)
     if search == "pairs":
         yield walk
     if config.search != "pairs":
-        yield mapped()
+        yield MapStrategy.of(target, config, seed, clock)
     if config.search == "auto" and search != "pairs" and is_line(samples, length):
         yield walk

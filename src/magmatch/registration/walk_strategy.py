@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The target as a walk: poses are found by pairs of points, refined and weighed by least squares along the path."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +14,6 @@ from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import WalkIndex
-from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.pose_prior import pose_prior
 from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.prepared.walk import Walk, walk_of
@@ -23,9 +21,9 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Among, Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
+from magmatch.registration.weigh.bending_walk import BendingWalk
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, inside_base, weigh_walk
 from magmatch.registration.weigh.settled import with_frame_error
-from magmatch.registration.weigh_as_maps import weigh_as_maps
 
 WalkPair = Pair[WalkIndex, Walk]
 
@@ -39,8 +37,6 @@ class WalkStrategy:
     samples: Survey
     config: RegistrationConfig
     seed: int
-    # The target as a map, made on first use.
-    mapped: Callable[[], MapStrategy]
 
     def likely(self, bases: Bases) -> list[Any]:
         """Those in which most pairs of points agree on one pose."""
@@ -66,8 +62,9 @@ class WalkStrategy:
         ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, walks.length, pair.prior, config)
         if walks.noise.is_learned or not ranked:
             return Weighed(self, pair, found, ranked)
-        # A base that passed each place once only lets it be guessed, and so is the evidence.
-        return weigh_as_maps(self.mapped(), pair, found, ranked)
+        # A base that passed each place once tells no more than its posterior does.
+        bending = BendingWalk.of(walks.base, pair.target, walks.length, pair.prior, config)
+        return Weighed(self, pair, found, bending.weigh([one.T_base_target for one in ranked]))
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
@@ -79,5 +76,7 @@ class WalkStrategy:
 
     def bend(self, pair: WalkPair, pose: LineEvidence) -> Bend | None:
         """The difference between the halves' poses along the path."""
+        if not pair.base.noise.is_learned:
+            return None  # bending is part of its covariance
         walks, config, T = pair.base, self.config.walks.evidence, pose.T_base_target
         return bend_of_walk(walks.base, pair.target, T, walks.noise, walks.length, pair.prior, config)

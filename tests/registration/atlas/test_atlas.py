@@ -67,8 +67,9 @@ def test_where_only_the_likeliest_map_is_asked_for_poses_it_is_the_right_one(
     for target, expected in asked_all:
         found = register(atlas, target)
         assert (found.base, found.is_accepted) == (expected.base, True)
+        # Other bins have other means.
         np.testing.assert_allclose(
-            found.T_base_target.as_matrix(), expected.T_base_target.as_matrix(), rtol=0, atol=1e-6
+            found.T_base_target.as_matrix(), expected.T_base_target.as_matrix(), rtol=0, atol=1e-3
         )
 
 

@@ -13,7 +13,6 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, WalkConfig
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import index_walks
-from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.prepared.prepared_map import prepare
@@ -54,7 +53,7 @@ def index(rooms):
 def register_walk(index, target, seed=0, prior=None):
     """What the base's side alone says of a walk."""
     config = RegistrationConfig(prior=prior or PosePriorConfig())
-    strategy = WalkStrategy(target, target, config, seed, lambda: MapStrategy.of(target, config, seed, Clock()))
+    strategy = WalkStrategy(target, target, config, seed)
     pair = strategy.pair(MapIndex(index.base, lambda: index))
     weighed = strategy.refine_and_weigh(pair, strategy.search(pair))
     return settle_and_decide(weighed, config.decision, Clock())

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses of a walk that bends, in a map whose errors are known by its posterior alone.
+
+Where a base passed each place once, no stretch of it can be held out to learn what residuals look like. Its posterior
+says which errors a map has beside a single pass: they are large, but smooth, so that the field along a second path
+follows from few unknowns. The walk's positions and orientations drift by a random walk of unknown rate. Residuals
+``r = b - R^T B_base(T y)`` are therefore normal with the covariance
+
+    R^T K R + D S D^T + n^2 I,
+
+K the posterior's covariance between all bins, D the residuals' slopes with the bending modes (`bending.py`), S their
+variances at one rate, n the noise of a bin. Evidence and pose are averaged over the rates.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.field.values import gradient_of
+from magmatch.geometry import perturbation, rotation_matrix, transform_of
+from magmatch.registration.prepared.bending import bending_modes
+from magmatch.registration.prepared.hypotheses import N_REFINED
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.prepared.walk import MIN_BINS, Walk
+from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
+from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
+from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
+from magmatch.registration.weigh.walk_rows import N_COLUMNS, residual_rows
+from magmatch.typing import Covariance6, Mask, Matrix, Points, Vector3
+
+# Rates at which the walk may drift against the base, m per sqrt(m) walked, equally likely: from a SLAM's own
+# correction to dead reckoning.
+RATES = (0.02, 0.05, 0.1, 0.2)
+# At which poses are compared first.
+MIDDLE = 0.1
+# Steps of the pose at each rate, and those before which the covariance is evaluated again, the last evaluation too.
+N_STEPS, RENEWED = 5, (0, 2, 5)
+# Spread of a common factor on the covariance: none.
+EXACT = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Fit:
+    """A pose at its optimum for one rate of drift."""
+
+    R: Matrix  # (3, 3): base from walk
+    p: Vector3  # (3,), m: where it puts the walk's centre
+    covariance: Covariance6
+    known: Mask  # (n,)
+    chi2: float
+    log_evidence: float  # nats
+    attainable: float  # nats
+
+    @property
+    def misfit(self) -> float:
+        """Normalised rms residual."""
+        return float(np.sqrt(self.chi2 / (3 * self.known.sum() - 6)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BendingWalk:
+    """A walk and the base that it is compared with."""
+
+    base: PreparedMap
+    walk: Walk
+    length: float  # m: the base's correlation length
+    prior: PosePrior
+    config: LineConfig
+    null: UnrelatedWalk  # its noise is that of a bin, and how all residuals may be larger or smaller than stated
+    modes: np.ndarray  # (n, 6, m): turn (rad) and shift (m) of each bin by bending modes at a rate of 1
+
+    @classmethod
+    def of(cls, base: PreparedMap, walk: Walk, length: float, prior: PosePrior, config: LineConfig) -> "BendingWalk":
+        """State the walk's null model, with the noise of a bin, and its modes."""
+        noise = noise_of_bins(base.noise_sd, length)
+        null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, length)
+        return cls(base, walk, length, prior, config, null, bending_modes(walk.positions))
+
+    def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
+        """Refine poses at one rate, and the best few at all; best first, without those outside the base."""
+        coarse = [fit for fit in (self._fit(T, MIDDLE) for T in starts) if fit is not None]
+        coarse.sort(key=lambda fit: -fit.log_evidence)
+        weighed = [self._averaged([fit]) for fit in coarse[N_REFINED:]]
+        for first in coarse[:N_REFINED]:
+            fits = [self._fit(self._pose(first), rate) for rate in RATES if rate != MIDDLE]
+            weighed.append(self._averaged([first, *(fit for fit in fits if fit is not None)]))
+        return sorted(weighed, key=lambda one: -one.log_evidence)
+
+    def _pose(self, fit: _Fit) -> RigidTransform:
+        return transform_of(fit.R, fit.p - fit.R @ self._center)
+
+    @property
+    def _center(self) -> Vector3:
+        return np.asarray(self.walk.positions.mean(axis=0))
+
+    def _fit(self, start: RigidTransform, rate: float) -> _Fit | None:
+        """Take Gauss-Newton steps of a pose; the walk's shape is integrated out."""
+        R, p = rotation_matrix(start), start.apply(self._center)
+        longest = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
+        factor, seen = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
+        for step in range(N_STEPS + 1):
+            known, points, rows, slopes = self._rows(R, p)
+            if known.sum() < MIN_BINS:
+                return None
+            if step in RENEWED or not np.array_equal(known, seen):
+                moved = (slopes @ (rate * self.modes[known])).reshape(len(rows), -1)
+                factor, seen = np.linalg.cholesky(self._rigid_covariance(R, points) + moved @ moved.T), known
+            white = solve_triangular(factor, rows, lower=True, check_finite=False)
+            r, J = white[:, 0], white[:, 1:]
+            known_before, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
+            told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
+            if step < N_STEPS:
+                xi = -np.linalg.solve(told + known_before, J.T @ r + slope)
+                xi /= max(1.0, float(np.abs(xi / longest).max()))
+                p, R = p + R @ xi[3:], R @ Rotation.from_rotvec(xi[:3]).as_matrix()
+        n_free, chi2 = 3 * int(known.sum()) - 6, float(r @ r)
+        covariance = np.linalg.inv(told / max(1.0, chi2 / n_free) + known_before)
+        rest = (
+            0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
+            + float(self.prior.log_densities(known_before[None], np.array([prior_chi2]))[0])
+            + float(self.config.log_weight(self.walk.length / self.length, known.mean()))
+            - float(np.log(np.diag(factor)).sum())
+            - self.null.log_likelihood(known)
+        )
+        return _Fit(R, p, covariance, known, chi2, rest - 0.5 * chi2, rest - 0.5 * min(chi2, n_free))
+
+    def _rows(self, R: Matrix, p: Vector3) -> tuple[Mask, Points, Matrix, np.ndarray]:
+        """Bins inside the base (n,): where they are (k, 3), residuals with slopes by the pose (3 k, 7), by moves."""
+        y = self.walk.positions - self._center
+        _, _, _, known = self.base.raster.lookup(p + y @ R.T)
+        y, b = y[known], self.walk.field[known]
+        points, told = p + y @ R.T, np.ones((1, len(y)))
+        values = self.base.posterior.evaluate(points, order=1)
+        rows, slopes = residual_rows(R[None], y[None], b[None], (values.field, gradient_of(values)), told > 0, told)
+        return known, points, rows.reshape(3 * len(y), N_COLUMNS), slopes[0]
+
+    def _rigid_covariance(self, R: Matrix, points: Points) -> Matrix:
+        """The residuals' covariance without bending, walk's axes: (3 k, 3 k)."""
+        n, h = len(points), self.base.field_map.hyperparameters
+        C = self.base.field_map.posterior.influence(points) * (h.inflation * h.noise_sd) ** 2
+        C = np.einsum("ai,namb,bj->nimj", R, C.reshape(n, 3, n, 3), R, optimize=True).reshape(3 * n, 3 * n)
+        return np.asarray(C + self.null.noise.nugget_sd**2 * np.eye(3 * n))
+
+    def _averaged(self, fits: Sequence[_Fit]) -> LineEvidence:
+        """The mixture of the rates, as one pose: its mean and covariance, its evidence their average."""
+        found = np.array([fit.log_evidence for fit in fits])
+        total = float(np.logaddexp.reduce(found))
+        best, shares = fits[int(found.argmax())], np.exp(found - total)
+        off = np.stack([self._between(best, fit) for fit in fits])
+        mean = shares @ off
+        within = np.tensordot(shares, [fit.covariance for fit in fits], axes=1)
+        return LineEvidence(
+            T_base_target=self._pose(best) * perturbation(mean, self._center),
+            center=self._center,
+            covariance=within + (off - mean).T @ (shares[:, None] * (off - mean)),
+            overlap=float(best.known.mean()),
+            log_evidence=total - float(np.log(len(fits))),
+            attainable=max(fit.attainable for fit in fits),
+            misfit=best.misfit,
+            is_covered=best.known,
+        )
+
+    @staticmethod
+    def _between(one: _Fit, other: _Fit) -> np.ndarray:
+        turn = Rotation.from_matrix(one.R.T @ other.R).as_rotvec()
+        return np.concatenate([turn, one.R.T @ (other.p - one.p)])
+
+
+def noise_of_bins(noise_sd: float, length: float) -> PathNoise:
+    """Half of the variance of a sample's noise lasts along the path, so that no bin averages it out."""
+    nothing = 1e-6 * noise_sd
+    return PathNoise(
+        misfit_sd=nothing,
+        misfit_length=length,
+        nugget_sd=float(np.sqrt(0.5)) * noise_sd,
+        constant_sd=nothing,
+        map_factor=1.0,
+        map_length=length,
+        attitude_sd=1e-6,
+        drift_sd=nothing,
+        drift_length=length,
+        spread=EXACT,
+    )

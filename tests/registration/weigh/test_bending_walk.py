@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A walk that bends, in a map that passed each place once."""
+
+import numpy as np
+import pytest
+
+from magmatch import build_map, register, simulate
+from magmatch.geometry import log_se3, transform_error
+from magmatch.registration.config import PRESETS
+from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.walk_strategy import WalkStrategy
+from magmatch.registration.weigh.bending_walk import BendingWalk
+from magmatch.simulation.config import SimulationConfig
+
+CONFIG = PRESETS["default"]
+
+
+@pytest.fixture(scope="module")
+def drifting():
+    """A corridor walked twice, blind, 5 cm per square root of a metre."""
+    pair = simulate("corridor", 401, SimulationConfig(pose_drift=0.05))
+    return pair, prepare_index(build_map(pair.base), CONFIG)
+
+
+def weigher(index, target):
+    """The weighing of a walk in a base, and their pair."""
+    walks, pair = index.walks, WalkStrategy(target, target, CONFIG, 0).pair(index)
+    assert not walks.noise.is_learned  # each place was passed once
+    return pair, BendingWalk.of(walks.base, pair.target, walks.length, pair.prior, CONFIG.walks.evidence)
+
+
+def test_a_walk_that_drifts_is_found_with_a_covariance_that_holds_its_drift(drifting):
+    pair, index = drifting
+    result = register(index, pair.target)
+    assert result.is_accepted, result.reason
+    xi = log_se3(result.T_base_target.inv() * pair.T_base_target)
+    assert xi @ np.linalg.solve(result.covariance, xi) / 6 < 4
+
+
+def test_the_right_pose_has_evidence_and_one_beside_it_has_none(drifting):
+    pair, index = drifting
+    models, bending = weigher(index, pair.target)
+    truth = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
+    (right,) = bending.weigh([truth])
+    assert right.log_evidence > 20
+    assert transform_error(right.T_base_target, truth, right.center)[0] < 0.3
+    other = simulate("corridor", 402, SimulationConfig(pose_drift=0.05))
+    models, bending = weigher(index, other.target)
+    wrong = bending.weigh([models.T_base_model.inv() * pair.T_base_target * models.T_target_model])
+    assert all(one.log_evidence < 0 for one in wrong)
+
+
+def test_residuals_without_bending_have_the_covariance_of_the_map_and_a_bin(drifting):
+    pair, index = drifting
+    _, bending = weigher(index, pair.target)
+    base, x = index.base, bending.walk.positions[:3]
+    turned = bending._rigid_covariance(np.eye(3), x)
+    by_map = base.field_map.posterior.covariance(x)
+    noise = bending.null.noise.nugget_sd**2 * np.eye(3)
+    blocks = np.stack([turned[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(3)])
+    np.testing.assert_allclose(blocks, by_map + noise, rtol=5e-3, atol=1e-3 * np.abs(by_map).max())
+
+
+def test_nothing_is_weighed_outside_the_base(drifting):
+    pair, index = drifting
+    models, bending = weigher(index, pair.target)
+    far = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
+    far = type(far).from_translation([0.0, 0.0, 1e3]) * far
+    assert bending.weigh([far]) == []
