@@ -21,46 +21,26 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
-from magmatch.geometry import perturbation, rotation_matrix, transform_of
-from magmatch.registration.prepared.bending import bending_modes
+from magmatch.geometry import rotation_matrix, transform_of
+from magmatch.registration.prepared.bending import RATES, bending_modes
 from magmatch.registration.prepared.hypotheses import N_REFINED
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
+from magmatch.registration.weigh.mixture import in_order, mixture
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
 from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.registration.weigh.walk_rows import N_COLUMNS, residual_rows
-from magmatch.typing import Covariance6, Mask, Matrix, Points, Vector3
+from magmatch.typing import Mask, Matrix, Points, Vector3
 
-# Rates at which the walk may drift against the base, m per sqrt(m) walked, equally likely: from a SLAM's own
-# correction to dead reckoning.
-RATES = (0.02, 0.05, 0.1, 0.2)
-# At which poses are compared first.
+# At which of the rates poses are compared first.
 MIDDLE = 0.1
 # Steps of the pose at each rate, and those before which the covariance is evaluated again, the last evaluation too.
 N_STEPS, RENEWED = 5, (0, 2, 5)
 # Spread of a common factor on the covariance: none.
 EXACT = 1e-6
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Fit:
-    """A pose at its optimum for one rate of drift."""
-
-    R: Matrix  # (3, 3): base from walk
-    p: Vector3  # (3,), m: where it puts the walk's centre
-    covariance: Covariance6
-    known: Mask  # (n,)
-    chi2: float
-    log_evidence: float  # nats
-    attainable: float  # nats
-
-    @property
-    def misfit(self) -> float:
-        """Normalised rms residual."""
-        return float(np.sqrt(self.chi2 / (3 * self.known.sum() - 6)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -84,22 +64,18 @@ class BendingWalk:
 
     def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
         """Refine poses at one rate, and the best few at all; best first, without those outside the base."""
-        coarse = [fit for fit in (self._fit(T, MIDDLE) for T in starts) if fit is not None]
-        coarse.sort(key=lambda fit: -fit.log_evidence)
-        weighed = [self._averaged([fit]) for fit in coarse[N_REFINED:]]
-        for first in coarse[:N_REFINED]:
-            fits = [self._fit(self._pose(first), rate) for rate in RATES if rate != MIDDLE]
-            weighed.append(self._averaged([first, *(fit for fit in fits if fit is not None)]))
-        return sorted(weighed, key=lambda one: -one.log_evidence)
-
-    def _pose(self, fit: _Fit) -> RigidTransform:
-        return transform_of(fit.R, fit.p - fit.R @ self._center)
+        coarse = in_order(self._fit(T, MIDDLE) for T in starts)
+        others = [rate for rate in RATES if rate != MIDDLE]
+        fine = [
+            mixture([one, *in_order(self._fit(one.T_base_target, r) for r in others)]) for one in coarse[:N_REFINED]
+        ]
+        return in_order([*fine, *coarse[N_REFINED:]])
 
     @property
     def _center(self) -> Vector3:
         return np.asarray(self.walk.positions.mean(axis=0))
 
-    def _fit(self, start: RigidTransform, rate: float) -> _Fit | None:
+    def _fit(self, start: RigidTransform, rate: float) -> LineEvidence | None:
         """Take Gauss-Newton steps of a pose; the walk's shape is integrated out."""
         R, p = rotation_matrix(start), start.apply(self._center)
         longest = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
@@ -128,7 +104,16 @@ class BendingWalk:
             - float(np.log(np.diag(factor)).sum())
             - self.null.log_likelihood(known)
         )
-        return _Fit(R, p, covariance, known, chi2, rest - 0.5 * chi2, rest - 0.5 * min(chi2, n_free))
+        return LineEvidence(
+            T_base_target=transform_of(R, p - R @ self._center),
+            center=self._center,
+            covariance=covariance,
+            overlap=float(known.mean()),
+            log_evidence=rest - 0.5 * chi2,
+            attainable=rest - 0.5 * min(chi2, n_free),
+            misfit=float(np.sqrt(chi2 / n_free)),
+            is_covered=known,
+        )
 
     def _rows(self, R: Matrix, p: Vector3) -> tuple[Mask, Points, Matrix, np.ndarray]:
         """Bins inside the base (n,): where they are (k, 3), residuals with slopes by the pose (3 k, 7), by moves."""
@@ -146,30 +131,6 @@ class BendingWalk:
         C = self.base.field_map.posterior.influence(points) * (h.inflation * h.noise_sd) ** 2
         C = np.einsum("ai,namb,bj->nimj", R, C.reshape(n, 3, n, 3), R, optimize=True).reshape(3 * n, 3 * n)
         return np.asarray(C + self.null.noise.nugget_sd**2 * np.eye(3 * n))
-
-    def _averaged(self, fits: Sequence[_Fit]) -> LineEvidence:
-        """The mixture of the rates, as one pose: its mean and covariance, its evidence their average."""
-        found = np.array([fit.log_evidence for fit in fits])
-        total = float(np.logaddexp.reduce(found))
-        best, shares = fits[int(found.argmax())], np.exp(found - total)
-        off = np.stack([self._between(best, fit) for fit in fits])
-        mean = shares @ off
-        within = np.tensordot(shares, [fit.covariance for fit in fits], axes=1)
-        return LineEvidence(
-            T_base_target=self._pose(best) * perturbation(mean, self._center),
-            center=self._center,
-            covariance=within + (off - mean).T @ (shares[:, None] * (off - mean)),
-            overlap=float(best.known.mean()),
-            log_evidence=total - float(np.log(len(fits))),
-            attainable=max(fit.attainable for fit in fits),
-            misfit=best.misfit,
-            is_covered=best.known,
-        )
-
-    @staticmethod
-    def _between(one: _Fit, other: _Fit) -> np.ndarray:
-        turn = Rotation.from_matrix(one.R.T @ other.R).as_rotvec()
-        return np.concatenate([turn, one.R.T @ (other.p - one.p)])
 
 
 def noise_of_bins(noise_sd: float, length: float) -> PathNoise:
