@@ -73,6 +73,8 @@ BROKEN_ZIP = (
     zlib.error,
     lzma.LZMAError,
 )
+# How a saved file (`magmatch.store`) begins, behind eight bytes that may be any.
+STORED = b'{"__metadata__'
 _REGISTRATION_SCHEMA = "magmatch.registration/"
 MAX_JSON = 64 << 20
 _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
@@ -83,6 +85,10 @@ def sniff(path: str | Path) -> FileKind:
     if is_folder(path):
         return _sniff_folder(path)
     head = read_bytes(path, _HEAD)
+    # First, and loosely: eight bytes of any kind stand before it, and what is damaged there shall be told as a map.
+    if STORED in head[:64]:
+        _refuse_gzip(path, "a saved map")
+        return "map"
     kind = next((kind for signature, kind in _SIGNATURES.items() if head.startswith(signature)), None)
     if kind is not None:
         return kind
