@@ -20,13 +20,10 @@ from magmatch.slam.search.bases import BaseMaker
 from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
-from magmatch.store import load, naming, save
+from magmatch.store import expect, load, naming, save
 
 SESSION, SCHEMA = "session.state", "magmatch.slam.session/8"
 KINDS = (Anchor, Closure, Hyperparameters, PathNoise, SubmapFactor)
-# What else could be read, and used, as another class.
-EXPECTED = {"numbers": Hyperparameters, "noise": PathNoise, "length": float, "squared_gradient": float}
-EXPECTED_OF_EACH = {"closures": Closure, "submap_factors": SubmapFactor}
 
 
 def write_session(session: Session, path: Path) -> None:
@@ -74,11 +71,10 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
 
 
 def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
-    for name, kind in (EXPECTED | EXPECTED_OF_EACH).items():
-        values = content[name] if name in EXPECTED_OF_EACH else [content[name]]
-        if not all(isinstance(value, kind) for value in values):
-            msg = f"entry '{name}': expected {kind.__name__}"
-            raise TypeError(msg)
+    expect(
+        content, numbers=Hyperparameters, noise=PathNoise, length=float, squared_gradient=float, closures=[Closure],
+        submap_factors=[SubmapFactor],
+    )  # fmt: skip
     stated, config = (SlamConfig.model_validate(content[key]) for key in ("stated", "config"))
     unbiased = [
         without_bias(in_one_calibration(survey), bias)
