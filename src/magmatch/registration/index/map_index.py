@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What registration and localisation need of one base map, made when it is first needed and kept beside the map.
 
-What is kept is a cache: it is used only for the content of the map, the settings and the version that it was made
-from. Nothing is lost by deleting it, and where it cannot be written it is made each time.
+What is kept is a cache: it is used only for the content of the map, the settings and the program that it was made
+by. Nothing is lost by deleting it, and where it cannot be written it is made each time.
 """
 
 import hashlib
@@ -241,14 +241,21 @@ def index_path(map_path: str | Path) -> Path:
 
 
 def index_key(file: MapFile, config: RegistrationConfig) -> str:
-    """What it must have been made from to be valid: SHA-256 of the map's content, settings and version."""
+    """What it must have been made from to be valid: SHA-256 of the map's content, the settings and the program."""
     made_with = {
         "map": file.sha256,
         "n_draws": config.invariants.n_draws,
         "pairs": config.walks.search.model_dump(mode="json"),
-        "version": __version__,
+        "program": [__version__, _source()],
     }
     return hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()
+
+
+@cache
+def _source() -> str:
+    """SHA-256 of the program's own text: whatever is changed in it may change what is prepared."""
+    texts = sorted(path.read_bytes() for path in Path(__file__).parents[2].rglob("*.py"))
+    return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
 def open_index(file: MapFile, config: RegistrationConfig) -> IndexFile | None:

@@ -71,10 +71,7 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
 
 
 def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
-    expect(
-        content, numbers=Hyperparameters, noise=PathNoise, length=float, squared_gradient=float, closures=[Closure],
-        submap_factors=[SubmapFactor],
-    )  # fmt: skip
+    expect(content, noise=PathNoise, length=float, closures=[Closure], submap_factors=[SubmapFactor])
     stated, config = (SlamConfig.model_validate(content[key]) for key in ("stated", "config"))
     unbiased = [
         without_bias(in_one_calibration(survey), bias)
