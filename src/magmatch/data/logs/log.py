@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every recorder log offers: topics with counts and spans, messages of some topics, and what was lost."""
+"""What every recorder log offers: topics with counts and spans, and the messages of some topics."""
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -66,22 +66,6 @@ class Topic:
                 "span": span}  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Loss:
-    """A piece of a damaged log that was left out: bytes of the file (0 to 0 where unknown) and what was wrong."""
-
-    start: int
-    stop: int
-    words: str
-
-    @property
-    def text(self) -> str:
-        """Where and what, in words."""
-        if self.stop > self.start:
-            return f"bytes {self.start} to {self.stop}: {self.words}"
-        return f"at byte {self.start}: {self.words}" if self.stop else self.words
-
-
 class Log(Protocol):
     """A recorder log, open for reading."""
 
@@ -92,9 +76,6 @@ class Log(Protocol):
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
-
-    def losses(self) -> list[Loss]:
-        """What was left out so far; empty unless recovery was asked for."""
 
     def close(self) -> None:
         """Close the file."""
