@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.logs.write_mcap import write_mcap
-from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
 
 

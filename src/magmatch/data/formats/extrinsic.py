@@ -14,7 +14,6 @@ from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.yaml_text import load_yaml
 from magmatch.errors import ConfigurationError, DataFormatError
 
-MAX_BYTES = 64 << 10
 EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
 
 
@@ -37,7 +36,7 @@ def read_extrinsic(text: str) -> RigidTransform:
 
 
 def _from_yaml(path: Path) -> RigidTransform:
-    raw = read_bytes(path, MAX_BYTES)
+    raw = read_bytes(path)
     try:
         content = load_yaml(raw.decode("utf-8"))
     except (yaml.YAMLError, ValueError):

@@ -58,7 +58,7 @@ def _opened(path: str | Path) -> Iterator[BinaryIO | GzipContent]:
         with place.open("rb") as stream:
             is_packed = stream.read(len(MAGIC)) == MAGIC
             stream.seek(0)
-            yield GzipContent(path, stream, place.stat().st_size) if is_packed else stream
+            yield GzipContent(path, stream) if is_packed else stream
     except FileNotFoundError:
         raise DataFormatError(path, "no such file") from None
     except PermissionError:

@@ -93,19 +93,6 @@ def test_names_that_leave_an_archive_are_refused(stray, tmp_path):
     assert "leaves the archive" in refusal(tmp_path / "walk.zip")
 
 
-def test_a_table_that_is_too_large_for_a_phone_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("magmatch.data.formats.phones.containers.MAX_MEMBER", 100)
-    (tmp_path / "log.txt").write_text(HEAD + ROWS)
-    assert "larger than 100 bytes" in refusal(tmp_path / "log.txt")
-
-
-def test_tables_that_are_too_large_together_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("magmatch.data.formats.phones.containers.MAX_TOTAL", 10)
-    with zipfile.ZipFile(tmp_path / "walk.zip", "w") as archive:
-        archive.writestr("Magnetometer.csv", '"Time (s)","X (µT)","Y (µT)","Z (µT)"\n0,1,2,3\n')
-    assert "expected at most 10" in refusal(tmp_path / "walk.zip")
-
-
 def test_what_systems_keep_beside_files_is_not_read(tmp_path):
     table = '"Time (s)","X (µT)","Y (µT)","Z (µT)"\n0,1,2,3\n1,1,2,3\n'
     with zipfile.ZipFile(tmp_path / "walk.zip", "w") as archive:
