@@ -36,7 +36,7 @@ from magmatch.data.survey_columns import (
 )
 from magmatch.data.tables.frames import frame_of_xarray
 from magmatch.data.tables.quaternions import QUATERNION
-from magmatch.data.tables.table import Table, read_table, write_table
+from magmatch.data.tables.table import Table, Wanted, read_table, write_table
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit, field_text
 from magmatch.errors import SurveyError, in_short
 from magmatch.geometry import principal_frame, rotate_vectors, transform_points
@@ -207,7 +207,7 @@ class Survey:
             With line and column wherever one is at fault.
         """
         expect_path(path)
-        return cls.from_table(read_table(path, COLUMNS, texts=(FRAME_COLUMN,)))
+        return cls.from_table(read_table(path, Wanted(COLUMNS, texts=(FRAME_COLUMN,))))
 
     @classmethod
     def from_dataframe(

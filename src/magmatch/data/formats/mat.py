@@ -143,7 +143,7 @@ def _arrays_of_v5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
     return _walked(wanted, _variables(path, names), child)
 
 
-def _variables(path: Path, names: Sequence[str] | None) -> dict[str, Any]:
+def _variables(path: Path, names: list[str] | None) -> dict[str, Any]:
     """Variables of a file of version 5, all by default: arrays of real numbers, structures as dicts, else None."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # such as of a name that is there twice

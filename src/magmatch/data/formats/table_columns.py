@@ -17,7 +17,7 @@ from magmatch.data.survey_columns import (
     column_numbers,
 )
 from magmatch.data.tables.header_names import header_of
-from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text_rows import is_sample
 from magmatch.data.units import DIGITS_OF_SECOND
 
@@ -31,17 +31,17 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
     def choose(names: Sequence[str]) -> ChosenColumns:
         return choose_columns(path, names, stated, has_poses=has_poses)
 
-    table = read_table(
-        path,
+    wanted = Wanted(
         (*stated.values(), *COLUMNS),
-        recover=layout.recover,
-        advise=advice_for,
         texts=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
         decimal=layout.decimal or "",
         digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
+        recover=layout.recover,
+        advise=advice_for,
     )
+    table = read_table(path, wanted)
     chosen = choose(table.names)
     _warn_of_units(path, chosen, layout)
     return table, chosen

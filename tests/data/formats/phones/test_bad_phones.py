@@ -32,16 +32,19 @@ def refusal(path):
 TEXTS = {
     "a word for a number": (
         HEAD + ROWS + "MAGN;1;6;20;three;-45;3\n",
-        "line 22, column 'y': expected a finite number",
+        "line 22, column 'y': expected a number, found 'three'",
     ),
     "NaN": (HEAD + ROWS + "ACCE;1;6;nan;3;-45;3\n", "column 'x': expected a finite number, found 'nan'"),
     "a row cut off": (
         HEAD + ROWS + "GYRO;1;6;20",
-        "line 22: expected 5 numbers (app time, sensor time, x, y, z), found 3",
+        "line 22: expected 6 cells (sensor, app time, sensor time, x, y, z), found 4",
     ),
     "a clock set back": (HEAD + ROWS + "MAGN;1;2;20;3;-45;3\n", "line 22: time runs backward by"),
     "an Android row cut off": (ANDROID + "1000000,2,1,2,3\n2000000,2,1", "line 3, column 'y'"),
-    "an Android word": (ANDROID + "1000000,2,1,2,3\n2000000,2,1,north,3\n", "line 3, column 'y': expected a finite"),
+    "an Android word": (
+        ANDROID + "1000000,2,1,2,3\n2000000,2,1,north,3\n",
+        "line 3, column 'y': expected a number, found 'north'",
+    ),
 }
 
 
