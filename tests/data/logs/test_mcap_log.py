@@ -2,6 +2,7 @@
 """MCAP files made wrong by hand, by name: each is refused in one line that says what is wrong."""
 
 import json
+import re
 import struct
 
 import pytest
@@ -102,3 +103,13 @@ def test_an_mcap_file_made_wrong_is_refused(case, tmp_path, refusal):
     pytest.importorskip("zstandard")
     (tmp_path / "log.mcap").write_bytes(make())
     assert words in refusal(tmp_path / "log.mcap")
+
+
+def test_messages_that_a_damaged_length_hides_are_missed(made, flight, tmp_path, refusal):
+    """Without a checksum nothing but the index tells."""
+    path = made.mcap(tmp_path / "log.mcap", flight.series, compression="NONE", enable_crcs=False)
+    raw = bytearray(path.read_bytes())
+    found = re.compile(rb"\x05([^\0]\0{7})").search(raw, 20_000)
+    raw[found.start(1) : found.end(1)] = struct.pack("<Q", 5000)
+    path.write_bytes(raw)
+    assert MENDED in refusal(path)

@@ -180,10 +180,15 @@ class McapLog:
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
         wanted = {key: channel for key, channel in self._channels.items() if channel.topic in topics}
+        left = {key: self._counts.get(key, Count()).n for key in wanted}
         with self._damage_told():
             for record in self._records(wanted):
                 if isinstance(record, mcap.Message) and record.channel_id in wanted:
+                    left[record.channel_id] -= 1
                     yield wanted[record.channel_id], _possible(record.log_time), record.data
+            if any(left.values()):  # in a chunk without a checksum, a wrong length hides what follows
+                msg = "its chunks hold other messages than its index names"
+                raise McapError(msg)
 
     def _records(self, wanted: Collection[int]) -> Iterator[mcap.McapRecord]:
         """All records of the file, or those of the chunks that hold some channels."""
