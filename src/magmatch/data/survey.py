@@ -323,7 +323,7 @@ class Survey:
         return cls(**survey_arguments(table, field_unit, length_unit, field_frame, origin))
 
     def _with(self, **changes: Any) -> "Survey":
-        """The same survey but for some of its parts, which were checked before; it may be empty."""
+        """Give the survey with some of its parts changed, which were checked before; it may be empty."""
         survey: Survey = object.__new__(type(self))
         for f in fields(self):
             object.__setattr__(survey, f.name, changes[f.name] if f.name in changes else getattr(self, f.name))

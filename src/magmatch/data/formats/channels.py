@@ -32,7 +32,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Channels:
-    """What stands in a log beside field and poses."""
+    """The numbers of a log beside field and poses."""
 
     by_name: Mapping[str, Channel] = field(default_factory=dict)
 

@@ -61,7 +61,7 @@ def _listed(part: Any, names: str) -> list[float]:
 
 
 def _problem(numbers: list[float]) -> str:
-    """What is wrong with seven numbers; empty where nothing is."""
+    """Say what is wrong with seven numbers; nothing where nothing is."""
     if len(numbers) not in {3, 7}:
         return f"found {len(numbers)} numbers"
     if not np.isfinite(numbers).all():

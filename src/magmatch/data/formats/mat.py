@@ -86,7 +86,7 @@ def _has_times(path: Path, *, is_v5: bool) -> bool:
 
 
 def advice_for_arrays(_names: Sequence[str] = ()) -> str:
-    """What to do about a file whose arrays have other names."""
+    """Advise about a file whose arrays have other names."""
     return "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 
 
@@ -173,7 +173,7 @@ def _walked(wanted: set[str], root: Any, child: Callable[[Any, str], Any]) -> di
 
 
 def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
-    """The same of MATLAB 7.3 and any HDF5, read in MATLAB's order of axes; links out of the file are not followed."""
+    """Read arrays of MATLAB 7.3 and any HDF5, in MATLAB's order of axes; links out of the file are not followed."""
     h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
 
     def child(parent: Any, name: str) -> Any:
@@ -194,7 +194,7 @@ def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
 
 
 def _listing(path: Path, *, is_v5: bool) -> tuple[str, ...]:
-    """What is there, for a message: arrays as they are named by `read_mat`, with their sizes."""
+    """List the arrays for a message, as `read_mat` names them, with their sizes."""
     try:
         if is_v5:
             return _leaves(_variables(path, None), dict)

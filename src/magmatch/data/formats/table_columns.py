@@ -60,7 +60,7 @@ def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat
 
 
 def advice_for(names: Sequence[str]) -> str:
-    """What to do about a table without the columns of a survey, from the names it has."""
+    """Advise about a table without the columns of a survey, from the names it has."""
     if names and all(map(is_sample, names)):
         pairs = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7" if len(names) > 6 else "t=1,bx=2,by=3,bz=4"
         return f"Without a header, say which column is which, counted from 1: --columns {pairs}"

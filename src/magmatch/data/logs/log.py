@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every recorder log offers: topics with counts and spans, and the messages of some topics."""
+"""The protocol of recorder logs: topics with counts and spans, and the messages of some topics."""
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ Message = tuple[Channel, int, bytes]  # with the time at which it was logged, ns
 
 
 class Count(NamedTuple):
-    """How many messages there are, and when the first and the last were logged; zeros for none."""
+    """The number of messages, and when the first and the last were logged; zeros for none."""
 
     n: int = 0
     first_ns: int = 0
@@ -54,7 +54,7 @@ class Topic:
 
     @property
     def channel(self) -> Channel:
-        """What its messages are labelled with."""
+        """The label of its messages."""
         return Channel(self.name, self.type, self.encoding)
 
     def facts(self) -> dict[str, Any]:

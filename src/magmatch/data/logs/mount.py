@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the sensor sits on the body: looked for in tf_static, in tf, and in the robot's description."""
+"""The sensor's place on the body: it is looked for in tf_static, in tf, and in the robot's description."""
 
 import logging
 from collections.abc import Iterable, Sequence

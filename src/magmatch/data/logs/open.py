@@ -96,7 +96,7 @@ def _open_folder(folder: Path) -> JoinedLog:
 
 
 def _metadata(folder: Path) -> dict[str, Any]:
-    """What ``metadata.yaml`` says of a bag; empty where there is none."""
+    """Read what ``metadata.yaml`` says of a bag; nothing where there is none."""
     path = folder / METADATA
     if not path.exists():
         return {}

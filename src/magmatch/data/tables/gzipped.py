@@ -17,7 +17,7 @@ PIECE = 4 << 20
 
 
 class GzipContent:
-    """What a gzip file holds; damage is refused."""
+    """The content of a gzip file; damage is refused."""
 
     def __init__(self, path: str | Path, stream: BinaryIO) -> None:
         self.path, self._stream = path, gzip.GzipFile(fileobj=stream)

@@ -91,7 +91,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Wanted:
-    """Which columns of a table to read, and how."""
+    """The columns of a table that are to be read, and how they are."""
 
     known: Collection[str]  # names, lower case; other columns are ignored, whatever they hold
     names: Sequence[str] | None = None  # all columns, of formats without a header row

@@ -64,7 +64,7 @@ class Rows:
     numbers: Sequence[int] | None = None
 
     def numbered(self, at: list[int]) -> list[int]:
-        """Where some lines stand in the file."""
+        """Give the places of some lines in the file."""
         return at if self.numbers is None else [self.numbers[i] for i in at]
 
 
@@ -136,7 +136,7 @@ def numbered_names(cells: list[str], numbers: Sequence[int]) -> tuple[tuple[str,
 
 
 def advice_on_comments(comments: Sequence[str], n: int) -> str:
-    """What to do where a comment holds the n names that are missing."""
+    """Advise where a comment holds the n names that are missing."""
     for words in map(words_of, comments):
         if len(words) == n and not any(map(is_number, words)):
             return "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
@@ -269,7 +269,7 @@ def in_units(
 
 
 def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
-    """What to do about a cell that is no number; rows of digits are no damage."""
+    """Advise about a cell that is no number; rows of digits are no damage."""
     if text.count(":") > 1:
         return ForeignNumberError, " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)"
     if is_number(text):

@@ -52,7 +52,7 @@ _ANDROID_TYPES: Mapping[str, Sensor] = {
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """What the columns of a table are: `sensors` holds the names of x, y and z, `tag` that of a sensor's name."""
+    """The columns of a table: `sensors` holds the names of x, y and z, `tag` that of a sensor's name."""
 
     app: str
     time: str
@@ -116,7 +116,7 @@ def _read(place: Path, lines: list[str], columns: Columns, axes: tuple[str, ...]
 
 
 def columns_of(names: list[str], stem: str) -> Columns | None:
-    """What the columns of a table are, by their names (lower case) and the table's; None if it is no phone's."""
+    """Tell the columns of a table by their names (lower case) and the table's; None if it is no phone's."""
     if "seconds_elapsed" in names and "time" in names:
         of_table: Sensor = MEMBERS.get(stem) or (
             "linear_acceleration" if stem == "accelerometer" else sensor_named(stem) or "field"
@@ -151,7 +151,7 @@ def _android(names: list[str], stem: str) -> Columns | None:
 
 
 def sensor_named(text: str) -> Sensor | None:
-    """Which sensor a word, or Android's number, stands for."""
+    """Tell the sensor that a word, or Android's number, stands for."""
     word = text.strip().strip("'\"").lower()
     kinds: Mapping[str, Sensor] = {
         "mag": "field", "linear": "linear_acceleration", "gravity": "gravity", "acc": "acceleration", "gyr": "rate",
