@@ -164,7 +164,7 @@ def _finite(text: str) -> float:
 
 
 def plain(value: Any, key: str) -> Any:
-    """Turn arrays, transforms and dataclasses into lists and mappings, non-finite numbers into None, as JSON needs it."""
+    """Turn arrays, transforms and dataclasses into lists and mappings, non-finite numbers into None, for JSON."""
     if isinstance(value, RigidTransform):
         # Reading it gives the same bits.
         value = transform_from_matrix(value.as_matrix()).as_matrix()
