@@ -76,6 +76,14 @@ def test_fault_in_a_later_chunk_keeps_its_line(tmp_path):
         read_survey(path)
 
 
+def test_the_first_fault_is_named_whatever_a_later_one_is(tmp_path):
+    lines = LINES * 5
+    lines[7], lines[15] = "0,0,0,0,0,x", "0,0"
+    path = write(tmp_path / "s.csv", "\n".join(["x,y,z,bx,by,bz", *lines]))
+    with pytest.raises(DataFormatError, match="line 9, column 'bz'"):
+        read_survey(path)
+
+
 def test_cell_by_cell_reading_gives_the_same_numbers_as_reading_at_once(tmp_path, rng):
     values = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-300, 300, (200, 3))
     lines = [",".join(map(repr, row)) for row in values.tolist()]

@@ -219,7 +219,7 @@ class _NumberReader:
         return block, np.array(at)
 
     def _looked_at(self, at: list[int]) -> tuple[Matrix, Indices]:
-        """Numbers of rows cell by cell; halves where one cannot be read, so that few bad ones cost little."""
+        """Numbers of rows cell by cell; halves where one cannot be read, which lead to it, and past it."""
         lines, numbers = [self.rows.lines[i] for i in at], self.rows.numbered(at)
         is_last = self.rows.numbers is None and at[-1] == len(self.rows.lines) - 1
         try:
@@ -229,16 +229,16 @@ class _NumberReader:
                     self.digits = {other: n for other, n in self.digits.items() if other != name}
             block = numbers_of(self.path, numbers, cells, self.places, self.decimal, self.digits)
         except DataFormatError as error:
-            if self.recover is None or (not self.recover and isinstance(error, ForeignNumberError)):
-                raise
-            if not self.recover:
-                message = error.message + RECOVER
-                raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
-            if len(at) == 1:
+            if len(at) > 1:
+                halves = [self._looked_at(half) for half in (at[: len(at) // 2], at[len(at) // 2 :])]
+                return np.concatenate([part for part, _ in halves]), np.concatenate([part for _, part in halves])
+            if self.recover:
                 self.first_fault = self.first_fault or error
                 return np.zeros((0, len(self.places))), np.zeros(0, np.int64)
-            halves = [self._looked_at(half) for half in (at[: len(at) // 2], at[len(at) // 2 :])]
-            return np.concatenate([part for part, _ in halves]), np.concatenate([part for _, part in halves])
+            if self.recover is None or isinstance(error, ForeignNumberError):
+                raise
+            message = error.message + RECOVER
+            raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
         self.has_commas |= any("," in row[k] for row in cells for k in self.places.values())
         return block, np.array(at)
 
