@@ -110,16 +110,11 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
 def _columns(
     path: Path, file: Any, names: list[str], pa: Any, per_second: Mapping[str | None, float]
 ) -> dict[str, Scalars]:
-    """Some columns, read in pieces; numbers of one that `per_second` names become seconds."""
-    blocks: dict[str, list[Scalars]] = {name: [] for name in names}
-    n_read = 0
-    for batch in file.iter_batches(batch_size=65_536, columns=names, use_threads=False):
-        for name in names:
-            blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa, per_second.get(name, 1.0)))
-        n_read += batch.num_rows
-    if not n_read:
+    """Some columns; numbers of one that `per_second` names become seconds."""
+    table = file.read(columns=names, use_threads=False)
+    if not table.num_rows:
         raise DataFormatError(path, "holds no rows")
-    return {name: np.concatenate(blocks[name]) for name in names}
+    return {name: _numbers(path, name, table.column(name), pa, per_second.get(name, 1.0)) for name in names}
 
 
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
@@ -129,20 +124,20 @@ def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
         raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}; {advice}", column=name)
 
 
-def _numbers(path: Path, name: str, column: Any, first: int, pa: Any, per_unit: float) -> Scalars:
-    """A piece of a column as float64, all of it finite; numbers that count parts of a unit are divided, no stamps."""
+def _numbers(path: Path, name: str, column: Any, pa: Any, per_unit: float) -> Scalars:
+    """A column as float64, all of it finite; numbers that count parts of a unit are divided, no stamps."""
     if column.null_count:
-        row = int(np.argmin(column.is_valid().to_numpy(zero_copy_only=False)))
-        raise DataFormatError(path, "expected a number, found null", line=first + row + 1, column=name)
+        row = int(np.argmin(column.is_valid().to_numpy()))
+        raise DataFormatError(path, "expected a number, found null", line=row + 1, column=name)
     if pa.types.is_timestamp(column.type):
         # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
-        stamps = column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
+        stamps = column.to_numpy().astype("datetime64[ns]").astype(np.int64)
         return seconds_of(stamps.tolist())
-    values = seconds_of_column(column.to_numpy(zero_copy_only=False), per_unit)
+    values = seconds_of_column(column.to_numpy(), per_unit)
     wrong = np.flatnonzero(~np.isfinite(values))
     if len(wrong):
         message = f"expected a finite number, found {values[wrong[0]]}"
-        raise DataFormatError(path, message, line=first + int(wrong[0]) + 1, column=name)
+        raise DataFormatError(path, message, line=int(wrong[0]) + 1, column=name)
     return values
 
 
