@@ -45,14 +45,14 @@ def kdtree(n: int) -> None:
 def tables(n: int, folder: Path) -> None:
     import pandas as pd
 
-    from magmatch.data.tables.table import read_table
+    from magmatch.data.tables.table import Wanted, read_table
 
     names = ["t", "x", "y", "z", "bx", "by", "bz"]
     numbers = np.random.default_rng(0).normal(size=(n, 7))
     path = folder / "survey.csv"
     path.write_text("\n".join([",".join(names), *(",".join(map(repr, row)) for row in numbers.tolist()), ""]))
-    ours, theirs = read_table(path, names), pd.read_csv(path)
-    print(f"CSV, {path.stat().st_size / 1e6:.0f} MB: ours {seconds(lambda: read_table(path, names)):.2f} s, "
+    ours, theirs = read_table(path, Wanted(names)), pd.read_csv(path)
+    print(f"CSV, {path.stat().st_size / 1e6:.0f} MB: ours {seconds(lambda: read_table(path, Wanted(names))):.2f} s, "
           f"pandas {seconds(lambda: pd.read_csv(path)):.2f} s; "
           f"{sum(int((theirs[k] != ours.columns[k]).sum()) for k in names)} of {n * 7} numbers differ")  # fmt: skip
 

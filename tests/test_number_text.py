@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import require_increasing
 from magmatch.cli.summaries import info_table
-from magmatch.data.tables.table import read_table
+from magmatch.data.tables.table import Wanted, read_table
 from magmatch.errors import DataFormatError
 from magmatch.number_text import exact, told
 from magmatch.slam.session import Session
@@ -45,7 +45,7 @@ def test_a_time_that_runs_backward_is_told_in_full(tmp_path):
     path = tmp_path / "t.csv"
     path.write_text(f"t,x\n{UNIX + 0.01!r},0\n{UNIX!r},1\n")
     with pytest.raises(DataFormatError, match=r"1700000005\.14 after 1700000005\.15;"):
-        read_table(path, ("t", "x")).require_increasing("t")
+        read_table(path, Wanted(("t", "x"))).require_increasing("t")
 
 
 def test_a_sample_before_the_last_is_told_in_full():

@@ -96,7 +96,7 @@ def require_one_frame(surveys: Sequence[Survey]) -> None:
 
 
 def too_large(size: float) -> str:
-    """What to say of a single sample whose field, of some size in T, is none that a magnetometer reads."""
+    """Say that a sample's field, of some size in T, is none that a magnetometer reads."""
     return f"field: expected at most {MAX_FIELD:g} T, got {size:.3g}; if it is in uT, multiply by 1e-6"
 
 
@@ -195,7 +195,7 @@ def _doubt_extent(survey: Survey, read_as: LengthUnit) -> Iterator[str]:
 
 
 def odd_speed(survey: Survey) -> str:
-    """In words: that a log moves faster than whoever carries a magnetometer; nothing otherwise."""
+    """Say that a log moves faster than whoever carries a magnetometer; nothing otherwise."""
     if survey.times is None or (speed := float(np.median(_speeds(survey)))) <= ODD_SPEED:
         return ""
     return f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"

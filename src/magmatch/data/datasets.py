@@ -39,12 +39,12 @@ class Dataset:
     kept: str = ""
 
     def url(self, file: str) -> str:
-        """Where one file is downloaded from."""
+        """The address of one file."""
         place = Path(self.folder, file).parent / self.within / Path(file).name
         return f"https://raw.githubusercontent.com/{self.repository}/{self.commit}/{place.as_posix()}"
 
     def content(self, path: Path) -> bytes:
-        """What is kept of a file, which may be packed (gzip)."""
+        """The part of a file that is kept; the file may be packed (gzip)."""
         content = read_bytes(path)
         if not self.kept:
             return content
@@ -265,7 +265,7 @@ def _download(dataset: Dataset, files: list[str], cache: Path) -> None:
 
 
 def _reason(error: Exception) -> str:
-    """Why a download failed, in few words: the full text of connection errors runs over many lines."""
+    """Say in few words why a download failed: the full text of connection errors runs over many lines."""
     response = getattr(error, "response", None)
     if response is not None:
         return f"HTTP status {response.status_code}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a survey holds, in plain numbers and words for a reader."""
+"""The content of a survey, in plain numbers and words for a reader."""
 
 from typing import Any
 

@@ -102,7 +102,7 @@ def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
 
 
 def constant_field(survey: Survey) -> str:
-    """In words, that the field varies nowhere, in the survey's or in the sensor's axes; empty if it does."""
+    """Say that the field varies nowhere, in the survey's or in the sensor's axes; nothing if it does."""
     read = survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
     for field, where in ((survey.field, ""), (read, " in the sensor's axes")):
         if float(field.std(axis=0).max()) < CONSTANT_FIELD:
@@ -202,7 +202,7 @@ def _conventions(field: Vectors, q: Rotation) -> dict[str, Turned]:
 
 
 def _told(found: Found, conventions: Mapping[str, Turned], heading: str) -> Diagnosis:
-    """In words, what was found, and as much of the remedy as is certain."""
+    """Say what was found, and as much of the remedy as is certain."""
     undone = f"(with that undone they scatter {found.share:.0%} as much)"
     if found.mount is not None:
         turn = np.degrees(found.mount.magnitude())
@@ -226,7 +226,7 @@ def _told(found: Found, conventions: Mapping[str, Turned], heading: str) -> Diag
 
 
 def _of_axes(alike: tuple[Hypothesis, ...], read: Turned) -> str:
-    """How to read the axes; which way the field points along z tells the sign that scatter does not."""
+    """Say how to read the axes; which way the field points along z tells the sign that scatter does not."""
     if len(alike) > MOST_WAYS:
         return "the motion does not tell which way: state how the sensor is mounted (--extrinsic)"
     ways = [_downward(AXES[one.axes], read) for one in alike]
@@ -259,7 +259,7 @@ def _extrinsic(turn: Rotation) -> str:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Walked:
-    """Where a path leads."""
+    """Say where a path leads."""
 
     heading: Scalars  # (n,), rad: at each sample, about z
     rows: np.ndarray  # (k,): samples in the middle of strides

@@ -85,7 +85,7 @@ _ADAPTERS: dict[type, TypeAdapter[Any]] = {}
 
 
 def adapter_of(kind: type[T]) -> TypeAdapter[T]:
-    """What validates a type, built when it is first needed."""
+    """Give the validator of a type, built when it is first needed."""
     if kind not in _ADAPTERS:
         _ADAPTERS[kind] = TypeAdapter(kind)
     return _ADAPTERS[kind]
@@ -110,7 +110,7 @@ class TypedDocument:
         return None
 
     def to_dict(self) -> dict[str, Any]:
-        """What the result says, in lists, numbers and words, keys and order as in the file."""
+        """The result in lists, numbers and words, with keys and order as in the file."""
         names = [f.name for f in fields(self)]  # type: ignore[arg-type]
         return {"schema": self.SCHEMA} | {self.key(n): plain(getattr(self, n), self.key(n)) for n in names}
 
@@ -164,7 +164,7 @@ def _finite(text: str) -> float:
 
 
 def plain(value: Any, key: str) -> Any:
-    """What JSON can hold: arrays, transforms and dataclasses as lists and mappings, non-finite numbers as None."""
+    """Turn arrays, transforms and dataclasses into lists and mappings, non-finite numbers into None, for JSON."""
     if isinstance(value, RigidTransform):
         # Reading it gives the same bits.
         value = transform_from_matrix(value.as_matrix()).as_matrix()

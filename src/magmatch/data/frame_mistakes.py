@@ -40,7 +40,7 @@ OWN, DECLARED = "x, y, z", "declared"
 
 
 def named(axes: np.ndarray) -> str:
-    """Which axes the rows are, such as ``-y, x, z``."""
+    """Name the axes that the rows are, such as ``-y, x, z``."""
     return ", ".join(f"{'-' * int(row.min() < 0)}{'xyz'[np.abs(row).argmax()]}" for row in axes)
 
 
@@ -76,7 +76,7 @@ class Turned:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """How the vectors would be right."""
+    """Say how the vectors would be right."""
 
     convention: str
     axes: str = OWN  # rows of the matrix that takes the readings to the right axes
@@ -89,7 +89,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Found:
-    """What undoes a mistake: hypotheses that the motion does not tell apart, best first, or a mount."""
+    """The remedy of a mistake: hypotheses that the motion does not tell apart, best first, or a mount."""
 
     hypotheses: tuple[Hypothesis, ...]
     share: float  # scatter that is left, of that as declared
@@ -250,7 +250,7 @@ class _Judged:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Gram:
-    """Of the nine numbers of a matrix of axes: mean products over the whole and between neighbours, (9, 9), T^2."""
+    """Average products of the nine numbers of a matrix of axes, over all and between neighbours: (9, 9), T^2."""
 
     whole: Matrix
     near: Matrix

@@ -17,7 +17,7 @@ ECCENTRICITY_2 = FLATTENING * (2 - FLATTENING)
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a local frame touches the ellipsoid: x points east there, y north, z up."""
+    """The point where a local frame touches the ellipsoid: x points east there, y north, z up."""
 
     latitude_deg: float
     longitude_deg: float
@@ -50,7 +50,7 @@ class Origin:
 
 
 def what_is_wrong(latitudes_deg: Scalars, longitudes_deg: Scalars) -> str:
-    """In words, which numbers are no latitude or longitude; empty if all are."""
+    """Say which numbers are no latitude or longitude; nothing if all are."""
     for name, degrees, most in (("latitude", latitudes_deg, 90), ("longitude", longitudes_deg, 360)):
         beyond = degrees[~(np.abs(degrees) <= most)]
         if len(beyond):

@@ -141,7 +141,7 @@ def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, Surv
 
 
 def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:
-    """What a file is by its content; where columns are stated, any text is a table: its user knows it better."""
+    """Tell what a file is by its content; where columns are stated, any text is a table: its user knows it better."""
     kind = sniff(path)
     return "csv" if layout.columns and kind in {"phone", "tum"} and at_rest(path).is_file() else kind
 

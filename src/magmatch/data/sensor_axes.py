@@ -56,7 +56,7 @@ class Levels:
 
 
 def sensor_readings(survey: Survey) -> Vectors:
-    """What the sensor read in its own axes, up to rounding: (n, 3), T; the field itself without orientations."""
+    """Give what the sensor read in its own axes, up to rounding: (n, 3), T; the field itself without orientations."""
     return survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
 
 
@@ -69,7 +69,7 @@ def find_repeats(readings: Vectors) -> Mask:
 
 
 def at_limit(readings: Vectors) -> Mask:
-    """Which components are at the end of the sensor's range: (n, 3).
+    """Find the components that are at the end of the sensor's range: (n, 3).
 
     More are at one largest value than at the next three: noise thins out toward the end, a limit piles values up.
     """
@@ -87,7 +87,7 @@ def at_limit(readings: Vectors) -> Mask:
 
 
 def stuck_axes(survey: Survey) -> list[str]:
-    """In words, the axes that read one value in most samples, or hardly follow the sensor's turns."""
+    """Name the axes that read one value in most samples, or hardly follow the sensor's turns."""
     names, readings = _names(survey), sensor_readings(survey)
     stuck = {k: f"reads {field_text(v)} in {_share(mask)}" for k, (v, mask) in find_stuck(readings).items()}
     if survey.orientations is None:
@@ -111,7 +111,7 @@ def _ways(vectors: Vectors) -> dict[tuple[int, ...], Scalars]:
 
 
 def _dead_ways(readings: Vectors, turned: Vectors) -> dict[tuple[int, ...], str]:
-    """In words, the ways in which readings hardly follow what turns make of the mean field; see `_ways`."""
+    """Say how readings hardly follow what turns make of the mean field; see `_ways`."""
     dead = {}
     for (way, read), expected in zip(_ways(readings).items(), _ways(turned).values(), strict=True):
         varies, most = (float(np.ptp(np.quantile(b, [0.1, 0.9]))) for b in (read, expected))
@@ -123,7 +123,7 @@ def _dead_ways(readings: Vectors, turned: Vectors) -> dict[tuple[int, ...], str]
 
 
 def _stuck_for_a_while(readings: Vectors, turned: Vectors, times: Scalars | None) -> dict[int, str]:
-    """In words, the axes that read one value on end though the sensor turned; not at the end of their range."""
+    """Name the axes that read one value on end though the sensor turned; not at the end of their range."""
     is_new, is_limited = ~find_repeats(readings), at_limit(readings)
     size, found = float(np.median(np.linalg.norm(turned, axis=1))), {}
     for axis, levels in enumerate(Levels.of(readings)):
@@ -152,7 +152,7 @@ def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
 
 
 def doubt_axes(survey: Survey) -> list[str]:
-    """In words, the axes that are stuck, else those that reach the end of their range."""
+    """Name the axes that are stuck, else those that reach the end of their range."""
     if stuck := stuck_axes(survey):
         why = {True: "one axis is written twice", False: "it is stuck or at the end of its range"}
         return [f"{words}: {why[ALIKE in words]}, nothing is estimated from it" for words in stuck]
@@ -167,7 +167,7 @@ def doubt_axes(survey: Survey) -> list[str]:
 
 
 def _names(survey: Survey) -> list[str]:
-    """What the axes are called."""
+    """Name some axes."""
     words = "the field's {} component" if survey.orientations is None else "the sensor's {} axis"
     return [words.format(axis) for axis in "xyz"]
 

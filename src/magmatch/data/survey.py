@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -36,12 +36,22 @@ from magmatch.data.survey_columns import (
 )
 from magmatch.data.tables.frames import frame_of_xarray
 from magmatch.data.tables.quaternions import QUATERNION
-from magmatch.data.tables.table import Table, read_table, write_table
+from magmatch.data.tables.table import Table, Wanted, read_table, write_table
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit, field_text
 from magmatch.errors import SurveyError, in_short
 from magmatch.geometry import principal_frame, rotate_vectors, transform_points
 from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
+
+
+class Stated(TypedDict, total=False):
+    """Keywords for what a DataFrame or Dataset does not say of its survey; see `Survey.from_dataframe`."""
+
+    field_frame: FieldFrame
+    frame: str | None
+    name: str
+    pose_sd: float | None
+    origin: str | None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -207,7 +217,7 @@ class Survey:
             With line and column wherever one is at fault.
         """
         expect_path(path)
-        return cls.from_table(read_table(path, COLUMNS, texts=(FRAME_COLUMN,)))
+        return cls.from_table(read_table(path, Wanted(COLUMNS, texts=(FRAME_COLUMN,))))
 
     @classmethod
     def from_dataframe(
@@ -217,12 +227,7 @@ class Survey:
         length_unit: LengthUnit = "m",
         time_unit: TimeUnit = "s",
         columns: Mapping[str, str] | None = None,
-        *,
-        field_frame: FieldFrame = "survey",
-        frame: str | None = None,
-        name: str = "DataFrame",
-        pose_sd: float | None = None,
-        origin: str | None = None,
+        **stated: Unpack[Stated],
     ) -> "Survey":
         """Survey from a DataFrame (pandas, polars) with the columns of the survey CSV, rows in the given order.
 
@@ -258,9 +263,14 @@ class Survey:
         >>> Survey.from_dataframe(df, "uT").field[1].round(8).tolist()
         [2.1e-05, 0.0, -4.5e-05]
         """
+        if unknown := stated.keys() - Stated.__annotations__.keys():
+            msg = f"expected keywords of {', '.join(Stated.__annotations__)}; got {', '.join(unknown)}"
+            raise TypeError(msg)
+        name, pose_sd = stated.get("name", "DataFrame"), stated.get("pose_sd")
         table = survey_table(df, name, time_unit, columns or {})
-        survey = cls.from_table(table, field_unit, length_unit, field_frame, origin)
-        frame, pose_sd = frame or survey.frame, survey.pose_sd if pose_sd is None else pose_sd
+        axes, origin = stated.get("field_frame", "survey"), stated.get("origin")
+        survey = cls.from_table(table, field_unit, length_unit, axes, origin)
+        frame, pose_sd = stated.get("frame") or survey.frame, survey.pose_sd if pose_sd is None else pose_sd
         return replace(survey, frame=frame, name=name, pose_sd=pose_sd)
 
     @classmethod
@@ -271,12 +281,7 @@ class Survey:
         length_unit: LengthUnit | None = None,
         time_unit: TimeUnit | None = None,
         columns: Mapping[str, str] | None = None,
-        *,
-        field_frame: FieldFrame = "survey",
-        frame: str | None = None,
-        name: str = "Dataset",
-        pose_sd: float | None = None,
-        origin: str | None = None,
+        **stated: Unpack[Stated],
     ) -> "Survey":
         """Survey from an xarray Dataset, with variables or coordinates named as the columns of the survey CSV.
 
@@ -297,17 +302,14 @@ class Survey:
             A number is missing, or no survey has such numbers.
         """
         table, units = frame_of_xarray(dataset, columns or {})
+        named: Stated = {"name": "Dataset", **stated}
         return cls.from_dataframe(
             table,
             field_unit or units.get("bx", "T"),  # type: ignore[arg-type]  # checked there
             length_unit or units.get("x", "m"),  # type: ignore[arg-type]
             time_unit or units.get("t", "s"),  # type: ignore[arg-type]
             columns,
-            field_frame=field_frame,
-            frame=frame,
-            name=name,
-            pose_sd=pose_sd,
-            origin=origin,
+            **named,
         )
 
     @classmethod
@@ -323,7 +325,7 @@ class Survey:
         return cls(**survey_arguments(table, field_unit, length_unit, field_frame, origin))
 
     def _with(self, **changes: Any) -> "Survey":
-        """The same survey but for some of its parts, which were checked before; it may be empty."""
+        """Give the survey with some of its parts changed, which were checked before; it may be empty."""
         survey: Survey = object.__new__(type(self))
         for f in fields(self):
             object.__setattr__(survey, f.name, changes[f.name] if f.name in changes else getattr(self, f.name))

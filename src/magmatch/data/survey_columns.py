@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which columns a table of a survey has, and what a survey is made of them: files, DataFrames and Datasets alike."""
+"""The columns of a survey's table, and the survey that they make: in files, DataFrames and Datasets alike."""
 
 import json
 import logging
@@ -122,7 +122,7 @@ def constant_of(text: str) -> float | None:
 
 
 def column_numbers(stated: Mapping[str, str]) -> list[int]:
-    """Which columns are stated by number, counted from 1."""
+    """List the columns that are stated by number, counted from 1."""
     return [int(text) for text in stated.values() if text.isdecimal() and int(text)]
 
 

@@ -9,7 +9,7 @@ from magmatch.settings import Settings
 
 
 class FeatureConfig(Settings):
-    """Where a map is asked, which points are kept, and how their surroundings are described."""
+    """The settings of where a map is asked, which points are kept, and how their surroundings are described."""
 
     # Where X* lies: a grid within the samples' hull, or near the path of a robot; 'auto' looks how much of the hull
     # lies near a sample.

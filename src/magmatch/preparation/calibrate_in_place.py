@@ -60,7 +60,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
 
 
 def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:
-    """Where the iteration begins: a centre, ``|b|^2 = 2 c.b + k`` by least trimmed squares, and weights about it."""
+    """Begin the iteration: a centre, ``|b|^2 = 2 c.b + k`` by least trimmed squares, and weights about it."""
     A = np.column_stack([2 * readings, np.full(len(readings), 1e-5)])
     square, misfit = (readings**2).sum(axis=1), np.linalg.norm(readings - np.median(readings, axis=0), axis=1)
     for _ in range(TRIMMED):

@@ -55,7 +55,7 @@ class Calibration:
         return bool(self.refused)
 
     def withdrawn(self, why: str) -> "Calibration":
-        """The same without a correction, if there is a reason in words."""
+        """Drop the correction, if there is a reason in words."""
         return replace(self, model=SensorModel(), refused=why) if why else self
 
 
@@ -108,7 +108,7 @@ def calibrate(
 
 
 def _rough_model(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
-    """Where the estimate begins."""
+    """Choose where the estimate begins."""
     tell("looking for the offset between the clocks")
     offset, rough = search_time_offset(part, largest, sizes)
     return replace(model_of(rough.estimate, {}), time_offset=offset)
@@ -205,7 +205,7 @@ class _Estimator:
         tell("calibrating against a fine map of the place")
 
     def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
-        """What was kept and one more channel at a time, so that channels change no other estimate."""
+        """Add one channel at a time to what was kept, so that channels change no other estimate."""
         names = [CHANNEL + name for name in self.channels if not name.startswith(PIECE)]
         if not names:
             return {}

@@ -70,7 +70,7 @@ def _held_out_step(calibration: Calibration) -> StepReport:
 
 
 def _why_not(name: str, sensor_log: SensorLog | None, why_not: str) -> str:
-    """Why nothing could be estimated."""
+    """Say why nothing could be estimated."""
     if sensor_log is None:
         return "needs orientations (columns qx, qy, qz, qw, or a trajectory): sensor errors turn with the sensor"
     if name == "time_offset" and sensor_log.times is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which readings of a phone to use: those with its own calibration, or the raw ones, calibrated here."""
+"""The choice of a phone's readings: those with its own calibration, or the raw ones, calibrated here."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is done to a log, step by step; only steps switched on here are taken."""
+"""The steps that a log goes through; only those switched on here are taken."""
 
 from typing import Literal
 

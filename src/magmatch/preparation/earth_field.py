@@ -23,7 +23,7 @@ MOST_LATITUDE_DEG = 90 - 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where and when a survey was made."""
+    """The place and time of a survey."""
 
     latitude_deg: float  # geodetic, degrees north and east
     longitude_deg: float
@@ -82,7 +82,7 @@ def earth_field(place: Place) -> np.ndarray:
 
 
 def _ratio_advice(ratio: float) -> str:
-    """What a wrong magnitude most likely means."""
+    """Say what a wrong magnitude most likely means."""
     power = np.log10(ratio) if ratio > 0 else 0.0
     if abs(power - round(power)) < 0.25 and round(power) != 0:
         return f"a unit that is off by 10^{round(power)} (--field-unit)?"

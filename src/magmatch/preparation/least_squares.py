@@ -95,7 +95,7 @@ class System:
 
 
 def _inflation(left: np.ndarray, residual: np.ndarray, vectors: Matrix, values: Scalars, noise: float) -> Scalars:
-    """How many times less the data say along each eigenvector than if their errors were independent.
+    """Estimate how many times less the data say along each eigenvector than with independent errors.
 
     The worst of short and long stretches: steel beside the path correlates errors over metres, drift over laps.
     """

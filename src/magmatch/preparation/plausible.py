@@ -22,7 +22,7 @@ NOISE = 0.01
 
 
 def why_no_sensor(model: SensorModel) -> str:
-    """In words, why no sensor has such errors; nothing where one may."""
+    """Say why no sensor has such errors; nothing where one may."""
     # Rotations aside: stretches of a matrix without a common scale.
     stretch = np.linalg.svd(model.matrix, compute_uv=False)
     worst = float(np.abs(stretch - 1).max())
@@ -38,7 +38,7 @@ def why_no_sensor(model: SensorModel) -> str:
 
 
 def why_no_field(as_read: Vectors, corrected: Vectors) -> str:
-    """In words, why a corrected field is none that the readings can be of, (n, 3), T, survey frame; else nothing."""
+    """Say why a corrected field, (n, 3), T, survey frame, is none that the readings can be of; else nothing."""
     read, left = np.linalg.norm(as_read, axis=1), np.linalg.norm(corrected, axis=1)
     median = float(np.median(read)), float(np.median(left))
     low, high = ORDINARY_FIELD

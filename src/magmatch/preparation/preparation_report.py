@@ -24,7 +24,7 @@ Outcome = Literal["off", "unchanged", "applied", "flagged", "unknown"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StepReport:
-    """What one step did."""
+    """The result of one step."""
 
     step: str  # its name
     outcome: Outcome  # one of `Outcome`
@@ -36,7 +36,7 @@ class StepReport:
 
 
 class Correction(TypedDict):
-    """What a file holds of a sensor: ``b_true = matrix b_read - shift``, T, sensor frame."""
+    """A sensor in a file: ``b_true = matrix b_read - shift``, T, sensor frame."""
 
     matrix: list[list[float]]
     shift: list[float]
@@ -49,7 +49,7 @@ READ_SENSOR = GetPydanticSchema(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PreparationReport(TypedDocument):
-    """What was done to a log."""
+    """The account of what was done to a log."""
 
     SCHEMA = "magmatch.preparation/1"
     KIND = "report of 'magmatch prepare'"
@@ -79,14 +79,14 @@ class PreparationReport(TypedDocument):
         return "\n".join([*lines, *([f"off: {', '.join(off)}"] if off else [])])
 
     def to_dict(self) -> dict[str, Any]:
-        """What was done, ready for JSON; of the sensor what holds for any of its logs."""
+        """The account, ready for JSON; its sensor is what holds for any log of it."""
         return TypedDocument.to_dict(self) | {"sensor": self.sensor.as_dict()}
 
 
 def report_on(
     survey: Survey, left: Survey, steps: Sequence[StepReport], sensor: SensorModel, config: PreparationConfig
 ) -> PreparationReport:
-    """What was done to a survey, of which another is left."""
+    """Account for what was done to a survey, of which another is left."""
     n_samples, settings = (len(survey), len(left)), config.model_dump(mode="json")
     inputs = ({"name": survey.name, "sha256": hash_survey(survey)},)
     return PreparationReport(survey.name, n_samples, tuple(steps), settings, sensor, inputs, __version__)

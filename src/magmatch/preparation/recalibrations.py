@@ -29,7 +29,7 @@ MOST = 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Recalibrations:
-    """Where a log is to be cut."""
+    """The places where a log is to be cut."""
 
     rows: Indices  # (k,): first reading behind each jump, ascending
     steps: Vectors  # (k, 3), T: what each jump added to the readings, sensor frame
@@ -113,7 +113,7 @@ def _is_turn(field: Vectors, row: int, step: Vector3, most: float) -> bool:
 
 
 def _most_beside(changes: Scalars) -> Scalars:
-    """Of each change the largest of its neighbours on either side; endless at the ends."""
+    """Find the largest of each change's neighbours on either side; endless at the ends."""
     before = maximum_filter1d(changes, NEIGHBOURS, origin=NEIGHBOURS // 2 - 1, mode="constant", cval=np.inf)
     after = maximum_filter1d(changes, NEIGHBOURS, origin=-(NEIGHBOURS // 2), mode="constant", cval=np.inf)
     beside = np.full(len(changes), np.inf)
@@ -122,7 +122,7 @@ def _most_beside(changes: Scalars) -> Scalars:
 
 
 def _step(log: SensorLog, row: int) -> Vector3:
-    """What a jump before a row added, sensor frame: lines through the readings on either side, met halfway."""
+    """Measure what a jump before a row added, sensor frame: lines through both sides meet halfway."""
     assert log.times is not None  # or there are no jumps
     near = np.arange(row - NEIGHBOURS // 2, row + NEIGHBOURS // 2)
     # As the sensor would have read them in the attitude it had at the jump.

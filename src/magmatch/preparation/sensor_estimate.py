@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a log tells about its own sensor: known beforehand, recalibrated by the phone itself, calibrated here."""
+"""The estimate of a log's own sensor: known beforehand, recalibrated by the phone itself, calibrated here."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -38,16 +38,16 @@ class SensorEstimate:
 
     @property
     def model(self) -> SensorModel:
-        """What was estimated."""
+        """The model that was estimated."""
         return SensorModel() if self.calibration is None else self.calibration.model
 
     @property
     def whole_model(self) -> SensorModel:
-        """What was estimated, after what was known."""
+        """The model that was estimated, after what was known."""
         return self.model if self.known is None else self.model.after(self.known)
 
     def readings(self, survey: Survey) -> Vectors:
-        """As the sensor gave them, but for what was known; the survey's field if there are no orientations."""
+        """The readings as the sensor gave them, but for what was known; the survey's field without orientations."""
         return survey.field if self.log is None else self.log.readings
 
     def correct(self, survey: Survey) -> tuple[Survey, Indices]:
@@ -57,7 +57,7 @@ class SensorEstimate:
         return apply_model(survey, self.log, self.model, every, is_changed=is_changed)
 
     def steps(self, config: PreparationConfig) -> list[StepReport]:
-        """What was done, step by step."""
+        """The steps that were taken, in order."""
         joined = [recalibration_step(self.cuts, self.log, self.calibration)] if config.recalibration == "auto" else []
         found = calibration_steps(self.log, self.calibration, config, self.channels, self.why_not)
         return [known_sensor_step(self.known), *joined, *found]
@@ -105,7 +105,7 @@ def estimate_sensor(
 
 
 def _why_no_estimate(survey: Survey) -> str:
-    """In words, what makes every estimate of a sensor's errors meaningless; nothing if nothing does."""
+    """Say what makes every estimate of a sensor's errors meaningless; nothing if nothing does."""
     if stuck := stuck_axes(survey):
         return "; ".join(stuck)
     assert survey.orientations is not None  # or nothing is estimated in any case

@@ -13,7 +13,7 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Poses:
-    """Where and how the sensor was carried, at the times of some readings."""
+    """The poses of the sensor at the times of some readings."""
 
     positions: Points  # (n, 3), m: survey frame
     orientations: Rotation  # length n: takes sensor coordinates to survey coordinates
@@ -57,7 +57,7 @@ class SensorLog:
         )
 
     def covered(self, offset: float, margin: float = 0.0) -> Mask:
-        """Which readings have a pose once their stamps are moved by an offset (give or take a margin), s."""
+        """Tell which readings have a pose once their stamps are moved by an offset (give or take a margin), s."""
         if self.times is None or self.trajectory is None:
             return np.ones(len(self), dtype=bool)
         is_covered: Mask = self.trajectory.covers(self.times + offset - margin)

@@ -69,7 +69,7 @@ class SensorModel:
 
     @property
     def soft_iron(self) -> Matrix:
-        """What multiplies the field before it is read, ``A = M^-1`` scaled to determinant 1."""
+        """The matrix that multiplies the field before it is read, ``A = M^-1`` scaled to determinant 1."""
         A = np.linalg.inv(self.matrix)
         return np.asarray(A / np.cbrt(np.linalg.det(A)))
 

@@ -31,7 +31,7 @@ def turns_with_sensor(survey: Survey, hyperparameters: Hyperparameters) -> bool:
 
 @single_threaded
 def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
-    """How much better a constant in the sensor's frame, in addition to a map of the place, explains the readings.
+    """Measure how much better a constant in the sensor's frame, beside a map of the place, explains the readings.
 
     With c the columns of the orientations' matrices, P what no map explains of them, s the noise and k how many
     samples count as one, the offset's information is ``A = c'Pc / (k s^2)`` and its score ``g = c'Py / (k s^2)``.

@@ -47,7 +47,7 @@ def thinned(
 def find_disturbances(
     survey: Survey, readings: Vectors, calibration: Calibration | None, config: PreparationConfig
 ) -> tuple[Mask, list[StepReport]]:
-    """Which samples to keep, and a report of each kind of disturbance."""
+    """Choose the samples to keep, and report each kind of disturbance."""
     modes, in_order = config.disturbances, survey.times is not None
     h = cache(partial(_hyperparameters, survey, calibration, config))
     kept, steps = np.ones(len(survey), dtype=bool), []

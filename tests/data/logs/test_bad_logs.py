@@ -16,37 +16,6 @@ from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 SECOND = 1_000_000_000
 
 
-# --- Cut off, in every container -----------------------------------------------------------------------------------
-
-CONTAINERS = [
-    "ROS 1 bag", "ROS 1 bag, bz2", "ROS 1 bag, lz4", "MCAP of ROS 2", "MCAP of ROS 1", "MCAP, lz4",
-    "MCAP, not compressed", "MCAP without chunks", "MCAP without summary",
-]  # fmt: skip
-CUTS = {"after the signature": 0.0, "near the beginning": 0.03, "in the middle": 0.5, "near the end": 0.97}
-
-
-@pytest.mark.parametrize("cut", CUTS)
-@pytest.mark.parametrize("name", CONTAINERS)
-def test_a_log_cut_off_names_the_way_out(name, cut, made, flight, tmp_path, refusal):
-    path = made.WRITERS[name](tmp_path, flight.series)
-    raw = path.read_bytes()
-    path.write_bytes(raw[: max(13 if path.suffix == ".bag" else 8, int(CUTS[cut] * len(raw)))])
-    assert "--recover" in refusal(path)
-    if cut in {"after the signature", "near the beginning"}:
-        refusal(path, (DataFormatError, SurveyError), recover=True)  # too little is left
-
-
-@pytest.mark.parametrize("place", [0.2, 0.4, 0.6])
-@pytest.mark.parametrize("name", ["ROS 1 bag, bz2", "MCAP of ROS 2", "MCAP, lz4", "MCAP, not compressed"])
-def test_a_hole_in_a_chunk_names_the_way_out(name, place, made, flight, tmp_path, refusal):
-    path = made.WRITERS[name](tmp_path, flight.series)
-    raw = bytearray(path.read_bytes())
-    at = int(place * len(raw))
-    raw[at : at + 300] = bytes(300)
-    path.write_bytes(raw)
-    assert "--recover" in refusal(path)
-
-
 # --- Whole logs that hold no survey --------------------------------------------------------------------------------
 
 

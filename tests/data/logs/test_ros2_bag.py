@@ -31,18 +31,6 @@ def remove(folder):
     (folder / "log-db3.db3").unlink()
 
 
-def bombs(folder):
-    """Each message 64 MB of zeros, in some KB."""
-    import zstandard
-
-    about(folder, compression_mode="message", compression_format="zstd")
-    packed = zstandard.ZstdCompressor(level=3).compress(bytes(64 << 20))
-    database = sqlite3.connect(folder / "log-db3.db3")
-    database.execute("UPDATE messages SET data = ?", (packed,))
-    database.commit()
-    database.close()
-
-
 def loop(folder):
     (folder / "log-db3.db3").unlink()
     (folder / "log-db3.db3").symlink_to("log-db3.db3")
@@ -74,7 +62,7 @@ FOLDERS = {
     "a file above": (lambda f: about(f, relative_file_paths=["../x.db3"]), "outside the folder"),
     "files that are no names": (lambda f: about(f, relative_file_paths=[1]), "list of names"),
     "files that are no list": (lambda f: about(f, relative_file_paths="a"), "list of names"),
-    "a missing file": (lambda f: about(f, relative_file_paths=["a.db3"]), "not in the folder; --recover"),
+    "a missing file": (lambda f: about(f, relative_file_paths=["a.db3"]), "not in the folder; 'ros2 bag reindex'"),
     "no file at all": (remove, "not in the folder"),
     "files compressed as a whole": (lambda f: (f / "x.db3.zstd").write_bytes(b"x"), "unzstd x.db3.zstd"),
     "messages compressed otherwise": (
@@ -83,14 +71,12 @@ FOLDERS = {
     ),
     "messages said to be compressed": (
         lambda f: about(f, compression_mode="message", compression_format="zstd"),
-        "message 0: ",
+        "says that messages are compressed, found one that is not",
     ),
-    "messages that are bombs": (bombs, "zip bomb"),
     "messages compressed in an unknown way": (
         lambda f: about(f, compression_mode="message", compression_format=["zstd"] * 40),
         "expected zstd",
     ),
-    "metadata larger than any": (lambda f: (f / "metadata.yaml").write_text("#" * (5 << 20)), "is larger than"),
     "a name with a NUL": (lambda f: about(f, relative_file_paths=["a\0.db3"]), "outside the folder"),
     "a name on Windows": (lambda f: about(f, relative_file_paths=["C:\\x.db3"]), "not in the folder"),
     "a link in circles": (loop, "not in the folder"),
@@ -100,7 +86,7 @@ FOLDERS = {
         lambda f: (f / "log-db3.db3").write_bytes((f / "log-db3.db3").read_bytes()[:4096]),
         "damaged ROS 2 bag",
     ),
-    "a page of zeros": (zero_page, "--recover"),
+    "a page of zeros": (zero_page, "ros2 bag reindex, mends it"),
     "no column of types": (lambda f: run_sql(f, "ALTER TABLE topics RENAME COLUMN type TO kind"), "damaged ROS 2"),
     "stamps of fractions": (lambda f: run_sql(f, "UPDATE messages SET timestamp = 1.5"), "time stamp"),
     "messages of no topic": (lambda f: run_sql(f, "UPDATE messages SET topic_id = 99"), "holds no messages"),
@@ -119,7 +105,7 @@ FOLDERS = {
     ),
     "data of another kind": (
         lambda f: run_sql(f, "UPDATE messages SET data = 'text'"),
-        "no number, time stamp or data",
+        "without a whole number as time stamp, or data",
     ),
     "stamps of another kind": (
         lambda f: run_sql(f, "UPDATE messages SET timestamp = 'now'"),

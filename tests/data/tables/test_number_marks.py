@@ -77,7 +77,7 @@ def large(numbers):
 def test_numbers_that_may_be_two_are_refused_with_both_and_the_advice_works(
     mark, size, numbers, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("magmatch.data.tables.text.BLOCK", size)
+    monkeypatch.setattr("magmatch.data.tables.table.CHUNK_ROWS", size)
     path = table(tmp_path / "s.csv", large(numbers), lambda v: f'"{v:,}"', mark)
     first = large(numbers)[0, 4]
     with pytest.raises(DataFormatError) as caught:

@@ -47,6 +47,8 @@ class ServeConfig(Settings):
     # Bytes of a request's body, as sent and unpacked; samples of a log; seconds to send it, and to work on it.
     max_body: int = Field(default=64 << 20, ge=1)
     max_unpacked: int = Field(default=256 << 20, ge=1)
+    # Memory that reading a log may take, which the operating system bounds.
+    max_reading: int = Field(default=1 << 30, ge=1)
     max_log: int = Field(default=200_000, ge=1)
     max_upload_time: float = Field(default=60.0, gt=0)
     max_work_time: float = Field(default=600.0, gt=0)

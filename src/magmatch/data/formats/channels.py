@@ -12,7 +12,8 @@ from magmatch.data.formats.parquet import read_other_columns
 from magmatch.data.formats.sniff import sniff
 from magmatch.data.formats.table_columns import read_columns
 from magmatch.data.survey_columns import COLUMNS, column_numbers
-from magmatch.data.tables.table import read_table
+from magmatch.data.tables.table import Wanted, read_table
+from magmatch.data.tables.text import text_lines
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars
 
@@ -31,7 +32,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Channels:
-    """What stands in a log beside field and poses."""
+    """The numbers of a log beside field and poses."""
 
     by_name: Mapping[str, Channel] = field(default_factory=dict)
 
@@ -66,12 +67,14 @@ def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dic
     """Times in s, and the other columns."""
     table, chosen = read_columns(path, layout)
     own, numbered = {*chosen.ours, *COLUMNS}, column_numbers(layout.stated_columns())
+    lines = text_lines(path)
     columns: dict[str, Scalars] = {}
     for name in table.names:
         if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
             continue
         try:
-            other = read_table(path, (name,), recover=layout.recover, numbered=numbered, decimal=table.decimal)
+            wanted = Wanted((name,), numbered=numbered, decimal=table.decimal, recover=layout.recover)
+            other = read_table(path, wanted, lines)
         except DataFormatError:
             continue
         is_there = np.isin(other.line_numbers, table.line_numbers)

@@ -24,7 +24,7 @@ from magmatch.data.survey_columns import (
     warn_of_unused_times,
 )
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
-from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Points
@@ -48,7 +48,7 @@ def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
         return
     path = table.path
     try:
-        values = read_table(path, (name,), recover=layout.recover, decimal=table.decimal).columns[name]
+        values = read_table(path, Wanted((name,), decimal=table.decimal, recover=layout.recover)).columns[name]
         is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
     except DataFormatError:
         is_count = False
@@ -127,7 +127,7 @@ def read_points(path: str | Path, layout: SurveyFormat) -> Points:
     advice = "The points need a header row of these names, in metres (or --length-unit)"
     if layout.origin is None:
         advice += "; latitude and longitude are for maps about an origin"
-    table = read_table(path, POSITION_COLUMNS, choose=choose, advise=lambda _: advice)
+    table = read_table(path, Wanted(POSITION_COLUMNS, choose=choose, advise=lambda _: advice))
     table = table.renamed(choose(table.names))
     names, metre = position_columns(table), METRE_PER_UNIT[layout.length_unit]
     table.require(names)

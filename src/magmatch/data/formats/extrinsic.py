@@ -14,7 +14,6 @@ from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.yaml_text import load_yaml
 from magmatch.errors import ConfigurationError, DataFormatError
 
-MAX_BYTES = 64 << 10
 EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
 
 
@@ -37,7 +36,7 @@ def read_extrinsic(text: str) -> RigidTransform:
 
 
 def _from_yaml(path: Path) -> RigidTransform:
-    raw = read_bytes(path, MAX_BYTES)
+    raw = read_bytes(path)
     try:
         content = load_yaml(raw.decode("utf-8"))
     except (yaml.YAMLError, ValueError):
@@ -62,7 +61,7 @@ def _listed(part: Any, names: str) -> list[float]:
 
 
 def _problem(numbers: list[float]) -> str:
-    """What is wrong with seven numbers; empty where nothing is."""
+    """Say what is wrong with seven numbers; nothing where nothing is."""
     if len(numbers) not in {3, 7}:
         return f"found {len(numbers)} numbers"
     if not np.isfinite(numbers).all():

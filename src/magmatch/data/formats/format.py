@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a survey file does not say itself: units, frames, poses from another file."""
+"""The settings for what a survey file does not say itself: units, frames, poses from another file."""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -15,7 +15,7 @@ COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw", "l
 
 
 class SurveyFormat(Settings):
-    """How to read a survey file; the defaults are the package's own units and frame."""
+    """The way to read a survey file; the defaults are the package's own units and frame."""
 
     field_unit: FieldUnit = Field(default="T", description="Unit of the field (phone logs: uT).")
     length_unit: LengthUnit = Field(
@@ -78,7 +78,7 @@ class SurveyFormat(Settings):
         )
 
     def stated_columns(self) -> dict[str, str]:
-        """What `columns` states for our names of columns: the file's name (lower case), a number or a constant."""
+        """Read `columns`: for our names of columns the file's name (lower case), a number or a constant."""
         stated: dict[str, str] = {}
         for pair in () if self.columns is None else self.columns.split(","):
             ours, mark, theirs = (part.strip() for part in pair.partition("="))

@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""MATLAB files: named arrays of numbers as the columns of a survey (version 7.3 by h5py)."""
+"""MATLAB files: named arrays of numbers as the columns of a survey, read by SciPy (version 7.3 by h5py)."""
 
 import logging
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.io
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.mat5 import DEEPEST, Mat5
 from magmatch.data.survey_columns import (
     COLUMNS,
     FIELD_COLUMNS,
@@ -19,7 +20,7 @@ from magmatch.data.survey_columns import (
     constant_of,
     position_columns,
 )
-from magmatch.data.tables.gzipped import most_unpacked, plain_file
+from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of_column
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
@@ -30,8 +31,8 @@ from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
-# Arrays named in a message.
-MOST_LISTED = 24
+# Arrays named in a message, and structures within structures.
+MOST_LISTED, DEEPEST = 24, 8
 
 
 def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
@@ -85,7 +86,7 @@ def _has_times(path: Path, *, is_v5: bool) -> bool:
 
 
 def advice_for_arrays(_names: Sequence[str] = ()) -> str:
-    """What to do about a file whose arrays have other names."""
+    """Advise about a file whose arrays have other names."""
     return "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 
 
@@ -132,13 +133,32 @@ def _shape(array: np.ndarray) -> str:
 
 def _arrays_of_v5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
     """Arrays by the names by which they are wanted (dots lead into structures)."""
-    content = dict(Mat5(path).variables({name.partition(".")[0] for name in wanted}))
+    first = {name.partition(".")[0] for name in wanted}
+    names = [name for name, *_ in scipy.io.whosmat(path, appendmat=False) if name.lower() in first]
 
     def child(parent: Any, name: str) -> Any:
         fields = parent if isinstance(parent, dict) else {}
         return next((value for key, value in fields.items() if key.lower() == name), None)
 
-    return _walked(wanted, content, child)
+    return _walked(wanted, _variables(path, names), child)
+
+
+def _variables(path: Path, names: list[str] | None) -> dict[str, Any]:
+    """Variables of a file of version 5, all by default: arrays of real numbers, structures as dicts, else None."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # such as of a name that is there twice
+        content = scipy.io.loadmat(path, variable_names=names, appendmat=False)
+    return {name: _plain(value) for name, value in content.items() if not name.startswith("__")}
+
+
+def _plain(value: Any) -> Any:
+    """Numbers as they are, and the fields of a structure; of several, by their numbers, counted from 1."""
+    if type(value) is not np.ndarray or not (value.dtype.names or value.dtype.kind in "iuf"):
+        return None
+    if value.dtype.names is None:
+        return value
+    rows = [{name: _plain(row[name]) for name in value.dtype.names} for row in value.ravel(order="F")]
+    return rows[0] if len(rows) == 1 else {str(k): row for k, row in enumerate(rows, start=1)}
 
 
 def _walked(wanted: set[str], root: Any, child: Callable[[Any, str], Any]) -> dict[str, np.ndarray]:
@@ -153,7 +173,7 @@ def _walked(wanted: set[str], root: Any, child: Callable[[Any, str], Any]) -> di
 
 
 def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
-    """The same of MATLAB 7.3 and any HDF5, read in MATLAB's order of axes; links out of the file are not followed."""
+    """Read arrays of MATLAB 7.3 and any HDF5, in MATLAB's order of axes; links out of the file are not followed."""
     h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
 
     def child(parent: Any, name: str) -> Any:
@@ -167,7 +187,6 @@ def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
             raise DataFormatError(path, "the array lies in other files; expected one file", column=key)
         if found.shape is None:
             raise DataFormatError(path, "expected an array of numbers, found an empty one", column=key)
-        _bound_array(path, key, found.size * found.dtype.itemsize // 8 if found.size else 0)
         return np.asarray(found).T
 
     with h5py.File(path, "r") as file:
@@ -175,10 +194,10 @@ def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
 
 
 def _listing(path: Path, *, is_v5: bool) -> tuple[str, ...]:
-    """What is there, for a message: arrays as they are named by `read_mat`, with their sizes."""
+    """List the arrays for a message, as `read_mat` names them, with their sizes."""
     try:
         if is_v5:
-            return _leaves(dict(Mat5(path).variables(None)), dict)
+            return _leaves(_variables(path, None), dict)
         h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
         with h5py.File(path, "r") as file:
             return _leaves({name: file[name] for name in file if not name.startswith("#")}, (dict, h5py.Group))
@@ -199,11 +218,3 @@ def _leaves(root: Any, branch: Any) -> tuple[str, ...]:
             shape = getattr(place, "shape", None)
             names.append(name[:60] + (f" ({' x '.join(map(str, shape))})" if shape else ""))
     return (*names, "...") if waiting else tuple(names)
-
-
-def _bound_array(path: Path, name: str, n_numbers: int) -> None:
-    """Refuse an array that declares more numbers than its file could hold."""
-    most = most_unpacked(path.stat().st_size) // 8
-    if n_numbers > most:
-        message = f"declares {n_numbers} numbers in {path.stat().st_size} bytes, expected at most {most}"
-        raise DataFormatError(path, message, column=name)

@@ -17,7 +17,6 @@ from magmatch.data.survey_columns import SCHEMA, choose_columns
 from magmatch.data.tables.frames import NO_ROW_NUMBER
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
-from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.units import UNITS_PER_SECOND
@@ -25,11 +24,6 @@ from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
-
-# Bounds, stated in docs/formats.md: a column of equal values takes no room in the file, but does in memory.
-MAX_ROWS = 50_000_000
-MAX_ROWS_PER_BYTE = 8
-MAX_THRIFT = 64 << 20  # bytes or entries of the file's description
 
 
 def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
@@ -104,8 +98,7 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
     pa, pq = (import_extra(name, "reading Parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
     read_bytes(path, 4)
     try:
-        limits = {"thrift_string_size_limit": MAX_THRIFT, "thrift_container_size_limit": MAX_THRIFT}
-        with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False, **limits) as file:
+        with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False) as file:
             yield file, pa
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
         if isinstance(error, MagmatchError):
@@ -117,22 +110,11 @@ def _opened(path: str | Path) -> Iterator[tuple[Any, Any]]:
 def _columns(
     path: Path, file: Any, names: list[str], pa: Any, per_second: Mapping[str | None, float]
 ) -> dict[str, Scalars]:
-    """Some columns, read in pieces; numbers of one that `per_second` names become seconds."""
-    n_rows, size = file.metadata.num_rows, at_rest(path).stat().st_size
-    if not 0 <= n_rows <= min(MAX_ROWS, MAX_ROWS_PER_BYTE * size):
-        message = f"declares {n_rows} rows in {size} bytes, expected at most {MAX_ROWS}"
-        raise DataFormatError(path, f"{message} and {MAX_ROWS_PER_BYTE} a byte")
-    blocks: dict[str, list[Scalars]] = {name: [] for name in names}
-    n_read = 0
-    for batch in file.iter_batches(batch_size=65_536, columns=names, use_threads=False):
-        for name in names:
-            blocks[name].append(_numbers(path, name, batch.column(name), n_read, pa, per_second.get(name, 1.0)))
-        n_read += batch.num_rows
-        if n_read > n_rows:
-            raise DataFormatError(path, f"holds more than the {n_rows} rows it declares")
-    if not n_read:
+    """Some columns; numbers of one that `per_second` names become seconds."""
+    table = file.read(columns=names, use_threads=False)
+    if not table.num_rows:
         raise DataFormatError(path, "holds no rows")
-    return {name: np.concatenate(blocks[name]) for name in names}
+    return {name: _numbers(path, name, table.column(name), pa, per_second.get(name, 1.0)) for name in names}
 
 
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
@@ -142,20 +124,20 @@ def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
         raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}; {advice}", column=name)
 
 
-def _numbers(path: Path, name: str, column: Any, first: int, pa: Any, per_unit: float) -> Scalars:
-    """A piece of a column as float64, all of it finite; numbers that count parts of a unit are divided, no stamps."""
+def _numbers(path: Path, name: str, column: Any, pa: Any, per_unit: float) -> Scalars:
+    """A column as float64, all of it finite; numbers that count parts of a unit are divided, no stamps."""
     if column.null_count:
-        row = int(np.argmin(column.is_valid().to_numpy(zero_copy_only=False)))
-        raise DataFormatError(path, "expected a number, found null", line=first + row + 1, column=name)
+        row = int(np.argmin(column.is_valid().to_numpy()))
+        raise DataFormatError(path, "expected a number, found null", line=row + 1, column=name)
     if pa.types.is_timestamp(column.type):
         # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
-        stamps = column.to_numpy(zero_copy_only=False).astype("datetime64[ns]").astype(np.int64)
+        stamps = column.to_numpy().astype("datetime64[ns]").astype(np.int64)
         return seconds_of(stamps.tolist())
-    values = seconds_of_column(column.to_numpy(zero_copy_only=False), per_unit)
+    values = seconds_of_column(column.to_numpy(), per_unit)
     wrong = np.flatnonzero(~np.isfinite(values))
     if len(wrong):
         message = f"expected a finite number, found {values[wrong[0]]}"
-        raise DataFormatError(path, message, line=first + int(wrong[0]) + 1, column=name)
+        raise DataFormatError(path, message, line=int(wrong[0]) + 1, column=name)
     return values
 
 

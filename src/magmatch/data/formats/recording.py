@@ -21,7 +21,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Recording:
-    """What a logger wrote: the field at its own times, the poses at theirs."""
+    """A log: the field at its own times, the poses at theirs."""
 
     path: Path  # where it came from
     times: Scalars  # (n,), s: of the field samples, strictly increasing

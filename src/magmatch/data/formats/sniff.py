@@ -78,7 +78,6 @@ BROKEN_ZIP = (
 STORED = b'{"__metadata__'
 _STORED_HEAD = 400  # bytes: two digests and the schema
 _REGISTRATION_SCHEMA = "magmatch.registration/"
-MAX_JSON = 64 << 20
 _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
 
 
@@ -201,11 +200,8 @@ def _sniff_archive(path: str | Path) -> FileKind:
 
 def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
-    raw = read_bytes(path, MAX_JSON + 1)
-    if len(raw) > MAX_JSON:
-        raise DataFormatError(path, f"is JSON of more than {MAX_JSON} bytes, expected a survey (CSV)")
     try:
-        content = json.loads(raw.decode("utf-8-sig"))
+        content = json.loads(read_bytes(path).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
     schema = content.get("schema") if isinstance(content, dict) else None

@@ -17,7 +17,7 @@ from magmatch.data.survey_columns import (
     column_numbers,
 )
 from magmatch.data.tables.header_names import header_of
-from magmatch.data.tables.table import Table, read_table
+from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text_rows import is_sample
 from magmatch.data.units import DIGITS_OF_SECOND
 
@@ -31,17 +31,17 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
     def choose(names: Sequence[str]) -> ChosenColumns:
         return choose_columns(path, names, stated, has_poses=has_poses)
 
-    table = read_table(
-        path,
+    wanted = Wanted(
         (*stated.values(), *COLUMNS),
-        recover=layout.recover,
-        advise=advice_for,
         texts=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
         decimal=layout.decimal or "",
         digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
+        recover=layout.recover,
+        advise=advice_for,
     )
+    table = read_table(path, wanted)
     chosen = choose(table.names)
     _warn_of_units(path, chosen, layout)
     return table, chosen
@@ -60,7 +60,7 @@ def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat
 
 
 def advice_for(names: Sequence[str]) -> str:
-    """What to do about a table without the columns of a survey, from the names it has."""
+    """Advise about a table without the columns of a survey, from the names it has."""
     if names and all(map(is_sample, names)):
         pairs = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7" if len(names) > 6 else "t=1,bx=2,by=3,bz=4"
         return f"Without a header, say which column is which, counted from 1: --columns {pairs}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which topics to read: by type, and among several by one rule."""
+"""The choice of the topics to read: by type, and among several by one rule."""
 
 import itertools
 import logging
@@ -73,7 +73,7 @@ def _tell_choice(path: Path, chosen: Topic, among: Sequence[Topic], what: str, f
 
 
 def describe_topics(topics: Sequence[Topic]) -> str:
-    """What a log holds, for a message."""
+    """List what a log holds, for a message."""
     shown = [f"{topic.name} ({topic.type}, {topic.count})" for topic in topics[:8]]
     return (", ".join(shown) or "none") + (f" and {len(topics) - 8} more" if len(topics) > 8 else "")
 
@@ -101,7 +101,7 @@ def _candidates(
 
 
 def _remedy(topics: Sequence[Topic], what: str) -> str:
-    """What helps a log without a topic of the usual types, as far as it holds anything that could."""
+    """Say what helps a log without a topic of the usual types, as far as it holds anything that could."""
     if what == "pose":
         tf = ", or --pose-frames MAP,BODY" if any(topic.type in TREES for topic in topics) else ""
         return f"; poses from elsewhere: --trajectory POSES.tum{tf}"

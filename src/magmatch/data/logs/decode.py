@@ -132,7 +132,7 @@ class Cursor:
 def decode(channel: Channel, payloads: Sequence[bytes]) -> Iterator[tuple[Indices, dict[str, Any] | str]]:
     """Decode messages of one channel: yields their rows, and their fields as columns or what is wrong with them.
 
-    Of JSON: the values of a single message.
+    JSON messages come one at a time.
     """
     if channel.encoding == "json":
         for row, payload in enumerate(payloads):
@@ -158,7 +158,7 @@ def decode(channel: Channel, payloads: Sequence[bytes]) -> Iterator[tuple[Indice
 
 
 def no_json(error: Exception) -> str:
-    """What is wrong with a message written as JSON."""
+    """Say what is wrong with a message written as JSON."""
     return f"is not the JSON of such a message ({type(error).__name__}: {error})"
 
 

@@ -39,7 +39,7 @@ def read_drift(path: str | Path, layout: SurveyFormat | None = None) -> tuple[fl
     if topic is None or topic.type != ODOMETRY or topic.encoding == "json":
         return None
     log_ns, places, covariances = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 36))]
-    with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
+    with plain_file(path) as place, closing(open_log(place)) as log:
         for channel, times, payloads in batches(log.messages({topic.name})):
             for rows, content in decode(channel, payloads):
                 if isinstance(content, dict):

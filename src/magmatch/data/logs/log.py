@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every recorder log offers: topics with counts and spans, messages of some topics, and what was lost."""
+"""The protocol of recorder logs: topics with counts and spans, and the messages of some topics."""
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ Message = tuple[Channel, int, bytes]  # with the time at which it was logged, ns
 
 
 class Count(NamedTuple):
-    """How many messages there are, and when the first and the last were logged; zeros for none."""
+    """The number of messages, and when the first and the last were logged; zeros for none."""
 
     n: int = 0
     first_ns: int = 0
@@ -54,7 +54,7 @@ class Topic:
 
     @property
     def channel(self) -> Channel:
-        """What its messages are labelled with."""
+        """The label of its messages."""
         return Channel(self.name, self.type, self.encoding)
 
     def facts(self) -> dict[str, Any]:
@@ -64,22 +64,6 @@ class Topic:
         span = [self.first_ns / 1e9, self.last_ns / 1e9] if self.count else None
         return {"name": self.name, "type": self.type, "encoding": self.encoding, "count": self.count, "rate": rate,
                 "span": span}  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class Loss:
-    """A piece of a damaged log that was left out: bytes of the file (0 to 0 where unknown) and what was wrong."""
-
-    start: int
-    stop: int
-    words: str
-
-    @property
-    def text(self) -> str:
-        """Where and what, in words."""
-        if self.stop > self.start:
-            return f"bytes {self.start} to {self.stop}: {self.words}"
-        return f"at byte {self.start}: {self.words}" if self.stop else self.words
 
 
 class Log(Protocol):
@@ -92,9 +76,6 @@ class Log(Protocol):
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
-
-    def losses(self) -> list[Loss]:
-        """What was left out so far; empty unless recovery was asked for."""
 
     def close(self) -> None:
         """Close the file."""

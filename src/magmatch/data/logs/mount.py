@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the sensor sits on the body: looked for in tf_static, in tf, and in the robot's description."""
+"""The sensor's place on the body: it is looked for in tf_static, in tf, and in the robot's description."""
 
 import logging
 from collections.abc import Iterable, Sequence
@@ -20,8 +20,6 @@ from magmatch.errors import DataFormatError
 logger = logging.getLogger(__name__)
 
 DESCRIPTION, STRING = "robot_description", "std_msgs/String"
-# Bytes of a description that is looked at, stated in docs/formats.md: those of large robots have some 100 KB.
-MAX_DESCRIPTION = 16 << 20
 
 
 def is_static(topic: Topic) -> bool:
@@ -98,7 +96,7 @@ def _unread(log: Log, topics: Sequence[Topic]) -> dict[Frames, Entries]:
 def _fixed_joints(path: Path, text: Any) -> dict[Frames, RigidTransform]:
     """Transforms of the joints of a URDF that do not move, by names of links; its text may stand in a column."""
     words = text if isinstance(text, str) else text[0].decode("utf-8", "replace")
-    if len(words) > MAX_DESCRIPTION or "<!ENTITY" in words:
+    if "<!ENTITY" in words:
         return {}
     found = {}
     try:

@@ -1,34 +1,133 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Open a recorder log, whatever its container."""
+"""Open a recorder log, whatever its container; the files of a ROS 2 bag's folder are one log."""
 
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, closing
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
-from magmatch.data.logs.log import Log
+import yaml
+
+from magmatch.data.logs.log import Count, Log, Message, Topic, topics_of
 from magmatch.data.tables.text import is_folder, read_bytes
+from magmatch.data.tables.yaml_text import load_yaml
 from magmatch.errors import DataFormatError, MissingExtraError
 
 NEEDED = ("rosbags", "mcap", "lz4", "zstandard")
+METADATA = "metadata.yaml"
+SUFFIXES = (".db3", ".mcap")
+REINDEX = "'ros2 bag reindex' writes it anew"
 
 
-def open_log(path: str | Path, *, recover: bool = False) -> Log:
+def open_log(path: str | Path) -> Log:
     """Open a ROS 1 bag, a ROS 2 bag (folder or file) or an MCAP file, told by content; to be closed when done.
 
-    ``recover`` leaves out damaged pieces and notes them (`Log.losses`) instead of refusing. Raises `DataFormatError`
-    where there is no such log or a damaged one, which then names ``--recover``; `MissingExtraError` without ``ros``.
+    Raises `DataFormatError` where there is no such log or a damaged one, which then names what mends it;
+    `MissingExtraError` without ``ros``.
     """
     if any(find_spec(name) is None for name in NEEDED):
         feature = "reading a ROS bag or MCAP file"
         raise MissingExtraError(feature, "ros")
-    from magmatch.data.logs.mcap_log import McapLog
-    from magmatch.data.logs.ros1_bag import Ros1Log
-    from magmatch.data.logs.ros2_bag import open_ros2_folder
-    from magmatch.data.logs.sqlite_log import SqliteLog
+    from magmatch.data.logs.containers import MCAP_MAGIC, McapLog, Ros1Log, SqliteLog
 
     if is_folder(path):
-        return open_ros2_folder(path, lambda part: open_log(part, recover=recover), recover=recover)
+        return _open_folder(Path(path))
     head = read_bytes(path, 16)
-    for signature, kind in ((b"\x89MCAP", McapLog), (b"#ROSBAG V", Ros1Log), (b"SQLite format 3\0", SqliteLog)):
+    version = head.partition(b"\n")[0].decode("ascii", "replace")
+    if head.startswith(b"#ROSBAG V") and version != "#ROSBAG V2.0":
+        raise DataFormatError(path, f"expected a bag of version 2.0, found {version!r} (rosbag migrates it)")
+    kinds: dict[bytes, Callable[[Path], Log]] = {
+        MCAP_MAGIC: McapLog, b"#ROSBAG V": Ros1Log, b"SQLite format 3\0": SqliteLog,
+    }  # fmt: skip
+    for signature, kind in kinds.items():
         if head.startswith(signature):
-            return kind(path, recover=recover)
+            return kind(Path(path))
     raise DataFormatError(path, "is no ROS 1 bag, ROS 2 bag or MCAP file, or its first bytes are damaged")
+
+
+class JoinedLog:
+    """Files of one recording in order, read as one; messages may be compressed one by one."""
+
+    def __init__(self, path: Path, parts: Sequence[Log], *, is_packed: bool) -> None:
+        self.path, self._parts, self._is_packed = path, parts, is_packed
+
+    def close(self) -> None:
+        """Close the files."""
+        for part in self._parts:
+            part.close()
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        found = [topic for part in self._parts for topic in part.topics()]
+        return topics_of((topic.channel, Count(topic.count, topic.first_ns, topic.last_ns)) for topic in found)
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, file after file."""
+        for part in self._parts:
+            for channel, log_ns, payload in part.messages(topics):
+                yield channel, log_ns, self._unpacked(payload) if self._is_packed else payload
+
+    def _unpacked(self, payload: bytes) -> bytes:
+        """A message as it was sent."""
+        import zstandard
+
+        try:
+            return zstandard.ZstdDecompressor().stream_reader(payload, read_across_frames=True).read()
+        except zstandard.ZstdError as error:
+            message = f"says that messages are compressed, found one that is not: {error}; {REINDEX}"
+            raise DataFormatError(self.path / METADATA, message) from None
+
+
+def _open_folder(folder: Path) -> JoinedLog:
+    """Open a folder with ``metadata.yaml``, or at least the files of one recording."""
+    about = _metadata(folder)
+    files = _files(folder, about)
+    is_packed = str(about.get("compression_mode", "")).upper() == "MESSAGE"
+    if is_packed and about.get("compression_format") != "zstd":
+        message = f"messages are compressed with {str(about.get('compression_format'))[:40]!r}, expected zstd"
+        raise DataFormatError(folder / METADATA, message)
+    if not files:
+        raise DataFormatError(folder, f"holds no {' or '.join(SUFFIXES)} file that can be read")
+    with ExitStack() as opened:
+        parts = [opened.enter_context(closing(open_log(file))) for file in files]
+        opened.pop_all()  # all are open: the log closes them
+    return JoinedLog(folder, parts, is_packed=is_packed)
+
+
+def _metadata(folder: Path) -> dict[str, Any]:
+    """Read what ``metadata.yaml`` says of a bag; nothing where there is none."""
+    path = folder / METADATA
+    if not path.exists():
+        return {}
+    advice = f"{REINDEX}, or delete it to read the bag without it"
+    try:
+        content = load_yaml(read_bytes(path).decode("utf-8"))
+    except (yaml.YAMLError, ValueError) as error:
+        raise DataFormatError(path, f"is not YAML ({' '.join(str(error).split())[:120]}); {advice}") from None
+    about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+    if not isinstance(about, dict):
+        raise DataFormatError(path, f"expected rosbag2_bagfile_information in it; {advice}")
+    return about
+
+
+def _files(folder: Path, about: dict[str, Any]) -> list[Path]:
+    """Files of the recording in order; only names inside the folder are followed."""
+    present = sorted(p for p in folder.iterdir() if p.suffix in SUFFIXES and p.is_file())
+    packed = sorted(p.name for p in folder.iterdir() if p.name.endswith((".db3.zstd", ".mcap.zstd")))
+    if packed:
+        message = f"its files are compressed as a whole; decompress them first (unzstd {packed[0]})"
+        raise DataFormatError(folder, message)
+    named = about.get("relative_file_paths")
+    if named is None:
+        return present
+    if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
+        raise DataFormatError(folder / METADATA, "expected a list of names in relative_file_paths")
+    stray = [name for name in named if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name]
+    if stray:
+        raise DataFormatError(folder / METADATA, f"names a file outside the folder: {stray[0]!r}")
+    names = list(dict.fromkeys(Path(name).name for name in named))  # old recorders wrote the folder in front
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing:
+        raise DataFormatError(folder / METADATA, f"names {missing[0]!r}, which is not in the folder; {REINDEX}")
+    return [folder / name for name in names] or present

@@ -47,9 +47,8 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
     ``layout`` names topics, frames and extrinsic where they are not to be chosen; ``with_channels`` also reads topics
     of plain numbers, such as currents. Raises `DataFormatError` where the log is damaged or lacks the topics.
     """
-    with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
+    with plain_file(path) as place, closing(open_log(place)) as log:
         recording = _read(log, layout, with_channels=with_channels)
-        _tell_losses(log)
     return replace(recording, path=Path(path))
 
 
@@ -135,23 +134,10 @@ def _of_one_frame(path: Path, stream: Stream) -> Entries:
     return entries
 
 
-def _tell_losses(log: Log) -> None:
-    """Say how much of a damaged log was lost, and where."""
-    losses = log.losses()
-    if not losses:
-        return
-    n_bytes = sum(loss.stop - loss.start for loss in losses)
-    shown = "; ".join(loss.text for loss in losses[:5]) + ("; ..." if len(losses) > 5 else "")
-    share = f", {n_bytes} bytes" if n_bytes else ""
-    n = f"{len(losses)} damaged piece{'s' if len(losses) > 1 else ''}"
-    logger.warning("%s: recovered, but for %s%s: %s", log.path, n, share, shown)
-
-
 def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], dict[str, str | None]]:
     """Topics of a log by name, and those that `read_log` would read as ``field`` and ``poses`` (None: no such)."""
-    with plain_file(path) as place, closing(open_log(place, recover=layout.recover)) as log:
+    with plain_file(path) as place, closing(open_log(place)) as log:
         topics = log.topics()
-        _tell_losses(log)
         try:
             field, pose, moving = _choose(log.path, topics, layout)
         except DataFormatError as error:

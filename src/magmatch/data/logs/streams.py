@@ -61,7 +61,7 @@ def read_streams(
 
 
 def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> Stream:
-    """What was decoded, or the first fault."""
+    """Give what was decoded, or raise the first fault."""
     faults = decoder.faults
     stream = Stream(topic, decoder.entries()).changed(lambda part: _whole(part, faults))
     if faults:
@@ -145,7 +145,7 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
 
 
 def _behind(times: Indices) -> Indices:
-    """By how much each time lies before the latest of those above it."""
+    """Measure how far each time lies before the latest of those above it."""
     behind: Indices = np.maximum.accumulate(times) - times
     return behind
 

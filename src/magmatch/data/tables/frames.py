@@ -21,7 +21,7 @@ NO_ROW_NUMBER = 1_000_000_000
 
 
 class Chosen(Protocol):
-    """Which columns of a table are which."""
+    """The choice of a table's columns."""
 
     @property
     def ours(self) -> Mapping[str, str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Gzip files, read as their content, within bounds on its size."""
+"""Gzip files, read as their content."""
 
 import gzip
 import tempfile
@@ -13,35 +13,21 @@ from magmatch.data.tables.pipes import at_rest
 from magmatch.errors import DataFormatError
 
 MAGIC = b"\x1f\x8b"
-# Bounds, stated in docs/formats.md: text packs 3 to 20 times, and logs hardly at all.
-MAX_UNPACKED, MAX_RATIO, FREE = 2 << 30, 200, 16 << 20
 PIECE = 4 << 20
 
 
-def most_unpacked(n_packed: int) -> int:
-    """Bytes that so many packed ones may become, in any format that compresses."""
-    return min(MAX_UNPACKED, MAX_RATIO * n_packed + FREE)
-
-
 class GzipContent:
-    """What a gzip file holds; damage, and more content than its size makes likely, are refused."""
+    """The content of a gzip file; damage is refused."""
 
-    def __init__(self, path: str | Path, stream: BinaryIO, n_packed: int) -> None:
+    def __init__(self, path: str | Path, stream: BinaryIO) -> None:
         self.path, self._stream = path, gzip.GzipFile(fileobj=stream)
-        self._limit = most_unpacked(n_packed)
-        self._n_read = 0
 
     def read(self, size: int = -1) -> bytes:
         """The next bytes, as of any file."""
-        wanted = self._limit - self._n_read + 1 if size < 0 else min(size, self._limit - self._n_read + 1)
         try:
-            piece = self._stream.read(wanted)
+            return self._stream.read(size)
         except (OSError, EOFError, zlib.error) as error:
             raise DataFormatError(self.path, f"is a damaged gzip file ({error}); cut off while copying?") from None
-        self._n_read += len(piece)
-        if self._n_read > self._limit:
-            raise DataFormatError(self.path, f"unpacks to more than {self._limit} bytes: refused as a gzip bomb")
-        return piece
 
 
 @contextmanager
@@ -53,7 +39,7 @@ def plain_file(path: str | Path) -> Iterator[Path]:
             folder = held.enter_context(tempfile.TemporaryDirectory(prefix="magmatch-"))
             copy = Path(folder) / (place.stem or "log")
             with place.open("rb") as packed, copy.open("wb") as unpacked:
-                content = GzipContent(path, packed, place.stat().st_size)
+                content = GzipContent(path, packed)
                 while piece := content.read(PIECE):
                     unpacked.write(piece)
         try:

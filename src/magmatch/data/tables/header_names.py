@@ -46,7 +46,7 @@ _BRACKETS = re.compile(r"\s*[\[({]([^\[\](){}]*)[\])}]")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the columns of a table are called here."""
+    """The names of a table's columns, and ours of them."""
 
     words: tuple[str, ...]  # as they stand there
     names: tuple[str, ...]  # "" where a word is not known, "?" where it is known to be something else
@@ -110,7 +110,7 @@ def _name_of(word: str, lone: str) -> tuple[str, str]:
 
 
 def _kind_of(parts: Sequence[str]) -> str | None:
-    """What an axis is of: the last whole word says it, else the first letter; letters behind that are frames."""
+    """Find what an axis belongs to: the last whole word says it, else the first letter; letters behind are frames."""
     words = [part for part in reversed(parts) if len(part) > 2] + [part for part in parts if len(part) <= 2]
     return next((_KINDS[part] for part in words if part in _KINDS), None)
 

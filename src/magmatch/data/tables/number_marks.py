@@ -61,7 +61,7 @@ def is_number(cell: str) -> bool:
 
 
 def readings(cell: str) -> dict[Decimal, float]:
-    """What a cell of digits means with either decimal mark.
+    """Read a cell of digits with either decimal mark.
 
     Examples
     --------
@@ -89,7 +89,7 @@ class Doubt:
 
     @property
     def words(self) -> str:
-        """What is in doubt."""
+        """The doubt, in words."""
         mark = "comma" if "," in self.text else "point"
         return f"found {self.text!r}, which is {' or '.join(self.values)}: nothing here says what the {mark} is"
 

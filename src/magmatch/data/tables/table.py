@@ -11,24 +11,23 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.number_marks import Decimal
-from magmatch.data.tables.text import Block, text_blocks
+from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import (
     RECOVER,
     ForeignNumberError,
+    Rows,
     cells_of,
     decimal_of_cells,
-    delimiter_of,
     in_units,
-    is_row,
     listed,
     names_of,
     numbered_names,
     numbers_at_once,
     numbers_of,
     put_seconds,
+    rows_of,
     split_header,
     split_row,
-    stated_delimiter,
 )
 from magmatch.errors import DataFormatError
 from magmatch.number_text import exact, many, told
@@ -36,10 +35,8 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
 
-# Rows turned into numbers at a time: text cells are bulky, so a long log is never held as cells all at once.
+# Rows turned into numbers at a time: cells are bulky, so a long log is never held as cells all at once.
 CHUNK_ROWS = 20_000
-# Comment lines above the first row that are kept.
-MAX_COMMENTS = 1000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -92,225 +89,158 @@ class Table:
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Wanted:
+    """The columns of a table that are to be read, and how they are."""
+
+    known: Collection[str]  # names, lower case; other columns are ignored, whatever they hold
+    names: Sequence[str] | None = None  # all columns, of formats without a header row
+    delimiter: str | None = None  # what separates cells, where the header does not show it
+    texts: Collection[str] = ()  # columns that hold one word for the whole file
+    # Picks the columns, {theirs: ours}, from the names there are, where names alone do not tell.
+    choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None
+    numbered: Sequence[int] = ()  # columns known by number, counted from 1, for which no header is needed
+    # Which mark is decimal, where the numbers leave that in doubt; "": not stated. None: there is no such choice.
+    decimal: Decimal | Literal[""] | None = None
+    # Columns that count units of 10**-digits, by our names, such as {"t": 9}; returned in whole units, rounded once.
+    digits: Mapping[str, int] = field(default_factory=dict)
+    # Whether to leave out rows that cannot be read, and say how many; None: there is no such choice.
+    recover: bool | None = None
+    # What to do about a file that has none of the columns, from the names it has.
+    advise: Callable[[Sequence[str]], str] = lambda _: ""
+
+
 def read_table(
-    path: str | Path,
-    known: Collection[str],
-    names: Sequence[str] | None = None,
-    raw: bytes | None = None,
-    *,
-    recover: bool | None = None,
-    advise: Callable[[Sequence[str]], str] = lambda _: "",
-    texts: Collection[str] = (),
-    choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None,
-    numbered: Sequence[int] = (),
-    decimal: Decimal | Literal[""] | None = None,
-    digits: Mapping[str, int] | None = None,
+    path: str | Path, wanted: Wanted, lines: Sequence[str] | None = None, numbers: Sequence[int] | None = None
 ) -> Table:
-    """Read the known columns of a delimited text file; every number is finite, and there is at least one row.
+    """Read columns of a delimited text file; every number is finite, and there is at least one row.
 
     Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
     semicolon, tab, or else white space; or the one that a first line ``sep=;`` states. Numbers may have decimal
-    commas and groups of three digits; `decimal` says which mark is decimal where the numbers leave that in doubt ("":
-    not stated; None where there is no such choice, which messages then do not offer). Columns in `digits`, by our
-    names, count units of 10**-digits, such as {"t": 9} of nanoseconds, and are returned in whole units, rounded once.
-
-    Columns that are not known (lower case) are ignored, whatever they hold; `texts` are those that hold one word for
-    the whole file. `names` are the columns of formats without a header row, `raw` the content of what is no file of
-    its own (a member of an archive). `recover` leaves out rows that cannot be read, and says how many, instead of
-    refusing; None where there is no such choice, which messages then do not offer. `advise` says what to do about a
-    file that has none of the columns, from the names it has. `choose` picks the columns, {theirs: ours}, from the
-    names there are, where names alone do not tell; `numbered` are columns known by number, counted from 1, for which
-    no header is needed. Dates (ISO 8601) of times become seconds since 1970.
+    commas and groups of three digits. Dates (ISO 8601) of times become seconds since 1970. ``lines`` are the file's
+    own, where they are known already, or some of them, with their ``numbers`` there, counted from 0.
     """
-    reader = _TableReader(path, known, names, raw, recover, advise, texts, choose, numbered, decimal, digits or {})
-    for block in text_blocks(path, raw):
-        reader.take(block)
-    return reader.table()
+    rows = rows_of(path, text_lines(path) if lines is None else lines)
+    if not rows.at:
+        raise DataFormatError(path, "holds only comments and blank lines, expected rows of numbers")
+    rows = replace(rows, delimiter=wanted.delimiter or rows.delimiter, numbers=numbers)
+    names, is_header = _names(path, rows, wanted)
+    rows = replace(rows, at=rows.at[is_header:])
+    chosen = {name: name for name in wanted.known} if wanted.choose is None else wanted.choose(names)
+    if not rows.at:
+        raise DataFormatError(path, "has a header row but no samples under it")
+    places = {name: k for k, name in enumerate(names) if name in chosen}
+    if not places:
+        message = f"expected columns such as {listed(tuple(wanted.known))}; found {listed(names)}"
+        advice = wanted.advise(names)
+        raise DataFormatError(path, f"{message}. {advice}" if advice else message)
+    decimal = decimal_of_cells(path, _marked_cells(rows, places), tuple(places), wanted.decimal)
+    said = {name: _word_of(path, rows, name, k) for k, name in enumerate(names) if name in wanted.texts}
+    digits = {name: wanted.digits[ours] for name, ours in chosen.items() if ours in wanted.digits}
+    clocks = {name for name in places if chosen[name] == "t" or name in digits}
+    reader = _NumberReader(path, rows, names, places, clocks, decimal, digits, wanted.recover)
+    block, line_numbers = reader.read()
+    columns = {name: block[:, k].copy() for k, name in enumerate(places)}
+    said = {name: word for name, word in said.items() if word}
+    return Table(Path(path), names, columns, line_numbers, tuple(rows.comments), said, decimal)
+
+
+def _names(path: str | Path, rows: Rows, wanted: Wanted) -> tuple[tuple[str, ...], bool]:
+    """Names of all columns, lower case, and whether the first row is a header."""
+    if wanted.names is not None:
+        return tuple(wanted.names), False
+    cells = split_header(rows.lines[rows.at[0]], rows.delimiter)
+    if wanted.numbered:
+        return numbered_names(cells, wanted.numbered)
+    return names_of(path, cells, rows.at[0] + 1, wanted.known, rows.comments, wanted.advise), True
+
+
+def _marked_cells(rows: Rows, places: Mapping[str, int]) -> Iterator[tuple[int, list[str]]]:
+    """Lines and wanted cells of all rows, where any may hold marks within numbers."""
+    lines, mark = rows.lines, rows.delimiter
+    if any("." in lines[i] or ("," in lines[i] and (mark != "," or '"' in lines[i])) for i in rows.at):
+        for i, number in zip(rows.at, rows.numbered(rows.at), strict=True):
+            cells = split_row(lines[i], mark)
+            yield number + 1, [cells[k] for k in places.values() if k < len(cells)]
+
+
+def _word_of(path: str | Path, rows: Rows, name: str, k: int) -> str:
+    """The word of a column that all rows share."""
+    said = ""
+    for i in rows.at:
+        found = "".join(split_row(rows.lines[i], rows.delimiter)[k : k + 1]).strip()
+        if found and (said := said or found) != found:
+            message = f"found {found[:40]!r} below {said[:40]!r}; a file holds one survey: split it"
+            raise DataFormatError(path, message, line=i + 1, column=name)
+    return said
 
 
 @dataclass(slots=True)
-class _TableReader:
-    """Turns a table into numbers block by block; asked for as in `read_table`."""
+class _NumberReader:
+    """Reads the numbers of rows: many at once by NumPy, and what that cannot read cell by cell."""
 
     path: str | Path
-    known: Collection[str]
-    names: Sequence[str] | None
-    raw: bytes | None
-    recover: bool | None
-    advise: Callable[[Sequence[str]], str]
-    texts: Collection[str]
-    choose: Callable[[Sequence[str]], Mapping[str, str]] | None
-    numbered: Sequence[int]
-    stated: Decimal | Literal[""] | None
+    rows: Rows
+    names: Sequence[str]
+    places: Mapping[str, int]  # of the wanted columns
+    clocks: Collection[str]  # columns that may hold dates
+    decimal: Decimal
     digits: Mapping[str, int]
-    chosen: Mapping[str, str] = field(default_factory=dict)
-    said: dict[str, str] = field(default_factory=dict)
+    recover: bool | None
     first_fault: DataFormatError | None = None
-    n_faults: int = 0
-    decimal: Decimal = "point"
     has_commas: bool = False  # within numbers
-    comments: list[str] = field(default_factory=list)
-    has_begun: bool = False
-    delimiter: str | None = None
-    wanted: dict[str, int] = field(default_factory=dict)
-    columns: list[list[Scalars]] = field(default_factory=list)
-    line_numbers: list[Indices] = field(default_factory=list)
 
-    def take(self, block: Block) -> None:
-        """Read the rows of a block; its first row may be the header."""
-        lines = block.lines
-        rows = [i for i, line in enumerate(lines) if is_row(line)]
-        if not self.has_begun:
-            above = lines[: rows[0]] if rows else lines
-            self.comments += [line.strip().lstrip("#").strip() for line in above if line.strip()][:MAX_COMMENTS]
-            if rows and self.delimiter is None and (mark := stated_delimiter(lines[rows[0]])):
-                self.delimiter = mark
-                rows.pop(0)
-        if rows and not self.has_begun:
-            self._begin(lines, rows, block.start)
-        if rows and not self.wanted:
-            self._choose()
-            self._decide(block, rows)
-        for start in range(0, len(rows), CHUNK_ROWS):
-            chunk = rows[start : start + CHUNK_ROWS]
-            is_last = block.is_last and chunk[-1] == len(lines) - 1
-            self._take_rows([lines[i] for i in chunk], [block.start + i for i in chunk], is_last=is_last)
-
-    def _begin(self, lines: list[str], rows: list[int], start: int) -> None:
-        """Learn delimiter and names from the first row."""
-        self.has_begun = True
-        first = lines[rows[0]]
-        if self.delimiter is None or self.delimiter not in first:
-            self.delimiter = delimiter_of(self.path, first, start + rows[0] + 1)
-        if self.names is None:
-            cells, line, is_header = split_header(first, self.delimiter), start + rows[0] + 1, True
-            if self.numbered:
-                self.names, is_header = numbered_names(cells, self.numbered)
-            else:
-                self.names = names_of(self.path, cells, line, self.known, self.comments, self.advise)
-            if is_header:
-                rows.pop(0)
-        self.chosen = {name: name for name in self.known} if self.choose is None else self.choose(self.names)
-        self.digits = {name: self.digits[ours] for name, ours in self.chosen.items() if ours in self.digits}
-
-    def _choose(self) -> None:
-        """Which columns to read, at the first row of numbers."""
-        names = self.names or ()
-        self.wanted = {name: k for k, name in enumerate(names) if name in self.chosen}
-        if not self.wanted:
-            message = f"expected columns such as {listed(tuple(self.known))}; found {listed(names)}"
-            advice = self.advise(names)
-            raise DataFormatError(self.path, f"{message}. {advice}" if advice else message)
-        self.columns = [[] for _ in self.wanted]
-
-    def _decide(self, block: Block, rows: list[int]) -> None:
-        """Learn the decimal mark from all numbers, where the first ones leave it in doubt."""
-        self.decimal = decimal_of_cells(self.path, self._cells_ahead(block, rows), tuple(self.wanted), self.stated)
-
-    def _cells_ahead(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
-        """Lines and wanted cells of all rows from here on that may hold marks."""
-        yield from self._marked_cells(block, rows)
-        if not block.is_last:
-            for later in text_blocks(self.path, self.raw):
-                if later.start > block.start:
-                    yield from self._marked_cells(later, [i for i, line in enumerate(later.lines) if is_row(line)])
-
-    def _marked_cells(self, block: Block, rows: list[int]) -> Iterator[tuple[int, list[str]]]:
-        lines = block.lines
-        if any("." in lines[i] or ("," in lines[i] and (self.delimiter != "," or '"' in lines[i])) for i in rows):
-            for i in rows:
-                cells = split_row(lines[i], self.delimiter)
-                yield block.start + i + 1, [cells[k] for k in self.wanted.values() if k < len(cells)]
-
-    def _take_texts(self, rows: list[str], numbers: list[int]) -> None:
-        """Learn the words that all rows share."""
-        for name, k in [(name, k) for k, name in enumerate(self.names or ()) if name in self.texts]:
-            for i, row in zip(numbers, rows, strict=True):
-                found = "".join(split_row(row, self.delimiter)[k : k + 1]).strip()
-                if found and self.said.setdefault(name, found) != found:
-                    message = (
-                        f"found {found[:40]!r} below {self.said[name][:40]!r}; a file holds one survey: split it"
-                    )
-                    raise DataFormatError(self.path, message, line=i + 1, column=name)
-
-    def _take_rows(self, rows: list[str], numbers: list[int], *, is_last: bool) -> None:
-        self._take_texts(rows, numbers)
-        block = None
-        if self.decimal == "point":
-            block = numbers_at_once(rows, self.delimiter, len(self.names or ()), self.wanted)
-        if block is None:
-            block, numbers = self._looked_at(rows, numbers, is_last=is_last)
-        else:
-            in_units(
-                block,
-                lambda k: (row.split(self.delimiter, k + 1)[k] for row in rows),
-                self.wanted,
-                self.decimal,
-                self.digits,
-            )
-        for parts, values in zip(self.columns, block.T, strict=True):
-            parts.append(values.copy())
-        self.line_numbers.append(np.array(numbers, dtype=np.int64) + 1)
-
-    def _looked_at(self, rows: list[str], numbers: list[int], *, is_last: bool) -> tuple[Matrix, list[int]]:
-        """Numbers of rows cell by cell, and which of the rows were kept."""
-        try:
-            cells = cells_of(self.path, rows, numbers, self.delimiter, self.names or (), is_last=is_last)
-            self._put_seconds(cells)
-            self.has_commas |= any("," in row[k] for row in cells for k in self.wanted.values())
-            return numbers_of(self.path, numbers, cells, self.wanted, self.decimal, self.digits), numbers
-        except DataFormatError as error:
-            if self.recover is None:
-                raise
-            if not self.recover:
-                if isinstance(error, ForeignNumberError):
-                    raise
-                raise DataFormatError(
-                    self.path, error.message + RECOVER, line=error.line, column=error.column
-                ) from None
-            if len(rows) == 1:
-                self.first_fault, self.n_faults = self.first_fault or error, self.n_faults + 1
-                return np.zeros((0, len(self.wanted))), []
-        # Halves, so that few bad rows among many cost little.
-        middle = len(rows) // 2
-        first, second = (
-            self._looked_at(rows[part], numbers[part], is_last=False) for part in (slice(middle), slice(middle, None))
-        )
-        return np.concatenate([first[0], second[0]]), first[1] + second[1]
-
-    def _put_seconds(self, cells: list[list[str]]) -> None:
-        """Write times that are dates as numbers of seconds."""
-        for name in [name for name in self.wanted if self.chosen[name] == "t" or name in self.digits]:
-            if put_seconds(cells, self.wanted[name], self.decimal):
-                self.digits = {other: n for other, n in self.digits.items() if other != name}
-
-    def table(self) -> Table:
-        """All that was read."""
-        if not self.has_begun:
-            raise DataFormatError(self.path, "holds only comments and blank lines, expected rows of numbers")
-        if not self.line_numbers:
-            raise DataFormatError(self.path, "has a header row but no samples under it")
+    def read(self) -> tuple[Matrix, Indices]:
+        """All numbers, (n, k), and the lines of the rows that were kept, counted from 1."""
+        parts = [self._piece(self.rows.at[i : i + CHUNK_ROWS]) for i in range(0, len(self.rows.at), CHUNK_ROWS)]
+        block, at = (np.concatenate(part) for part in zip(*parts, strict=True))
         if self.first_fault is not None:
-            if not any(map(len, self.line_numbers)):
+            if not len(at):
                 raise self.first_fault
-            logger.warning(
-                "%s: left out %s that cannot be read, the first: %s",
-                self.path,
-                many(self.n_faults, "row"),
-                self.first_fault,
-            )
+            words = "%s: left out %s that cannot be read, the first: %s"
+            logger.warning(words, self.path, many(len(self.rows.at) - len(at), "row"), self.first_fault)
         if self.has_commas:
             read_as = "decimal commas were read as points"
             if self.decimal == "point":
                 read_as = "commas were read as marks of thousands, not of decimals"
             logger.warning("%s: %s", self.path, read_as)
-        columns = {}
-        for name in self.wanted:  # one after the other, so that little is there twice
-            columns[name] = np.concatenate(self.columns.pop(0))
-        numbers = np.concatenate(self.line_numbers)
-        return Table(
-            Path(self.path), tuple(self.names or ()), columns, numbers, tuple(self.comments), self.said, self.decimal
+        return block, np.array(self.rows.numbered(at.tolist()), dtype=np.int64) + 1
+
+    def _piece(self, at: list[int]) -> tuple[Matrix, Indices]:
+        """Numbers of some rows, and which of them were kept."""
+        lines, mark = [self.rows.lines[i] for i in at], self.rows.delimiter
+        block = numbers_at_once(lines, mark, len(self.names), self.places, self.decimal)
+        if block is None:
+            return self._looked_at(at)
+        self.has_commas |= self.decimal == "comma" and any("," in line for line in lines)
+        in_units(
+            block, lambda k: (line.split(mark, k + 1)[k] for line in lines), self.places, self.decimal, self.digits
         )
+        return block, np.array(at)
+
+    def _looked_at(self, at: list[int]) -> tuple[Matrix, Indices]:
+        """Numbers of rows cell by cell; halves where one cannot be read, which lead to it, and past it."""
+        lines, numbers = [self.rows.lines[i] for i in at], self.rows.numbered(at)
+        is_last = self.rows.numbers is None and at[-1] == len(self.rows.lines) - 1
+        try:
+            cells = cells_of(self.path, lines, numbers, self.rows.delimiter, self.names, is_last=is_last)
+            for name in self.clocks:
+                if put_seconds(cells, self.places[name], self.decimal):
+                    self.digits = {other: n for other, n in self.digits.items() if other != name}
+            block = numbers_of(self.path, numbers, cells, self.places, self.decimal, self.digits)
+        except DataFormatError as error:
+            if len(at) > 1:
+                halves = [self._looked_at(half) for half in (at[: len(at) // 2], at[len(at) // 2 :])]
+                return np.concatenate([part for part, _ in halves]), np.concatenate([part for _, part in halves])
+            if self.recover:
+                self.first_fault = self.first_fault or error
+                return np.zeros((0, len(self.places))), np.zeros(0, np.int64)
+            if self.recover is None or isinstance(error, ForeignNumberError):
+                raise
+            message = error.message + RECOVER
+            raise DataFormatError(self.path, message, line=error.line, column=error.column) from None
+        self.has_commas |= any("," in row[k] for row in cells for k in self.places.values())
+        return block, np.array(at)
 
 
 def write_table(

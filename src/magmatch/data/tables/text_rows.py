@@ -4,6 +4,8 @@
 import csv
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Literal
 
@@ -48,6 +50,34 @@ def delimiter_of(path: str | Path, first: str, line: int) -> str | None:
         message = "both ',' and ';' separate the columns here; use one of them, or write sep=; above for the second"
         raise DataFormatError(path, message, line=line)
     return next((mark for mark in (",", ";", "\t") if mark in first), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The rows of a table; the first may be its header."""
+
+    lines: Sequence[str]  # all lines of the file
+    at: list[int]  # which of them are rows
+    comments: list[str]  # lines above the first row, without the ``#``
+    delimiter: str | None  # between cells; None for white space
+    # Where the lines stand in the file, counted from 0, if not one behind another.
+    numbers: Sequence[int] | None = None
+
+    def numbered(self, at: list[int]) -> list[int]:
+        """Give the places of some lines in the file."""
+        return at if self.numbers is None else [self.numbers[i] for i in at]
+
+
+def rows_of(path: str | Path, lines: Sequence[str]) -> Rows:
+    """Find the rows among the lines of a table, and what separates their cells."""
+    at = [i for i, line in enumerate(lines) if is_row(line)]
+    mark = stated_delimiter(lines[at[0]]) if at else None
+    at = at[mark is not None :]
+    top = at[0] if at else len(lines)
+    first = lines[top] if at else ""
+    above = [line.strip().lstrip("#").strip() for line in lines[:top] if not is_row(line)]
+    delimiter = mark if mark and mark in first else delimiter_of(path, first, top + 1)
+    return Rows(lines, at, [line for line in above if line], delimiter)
 
 
 def split_row(text: str, delimiter: str | None) -> list[str]:
@@ -106,17 +136,23 @@ def numbered_names(cells: list[str], numbers: Sequence[int]) -> tuple[tuple[str,
 
 
 def advice_on_comments(comments: Sequence[str], n: int) -> str:
-    """What to do where a comment holds the n names that are missing."""
+    """Advise where a comment holds the n names that are missing."""
     for words in map(words_of, comments):
         if len(words) == n and not any(map(is_number, words)):
             return "; the line of names above it starts with '#', which makes it a comment: remove the '#'"
     return ""
 
 
-def numbers_at_once(rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int]) -> Matrix | None:
+def numbers_at_once(
+    rows: list[str], delimiter: str | None, width: int, wanted: Mapping[str, int], decimal: Decimal
+) -> Matrix | None:
     """Wanted columns of some rows by NumPy's parser; None where any row needs a closer look."""
-    if delimiter is None or not wanted or any(row.count(delimiter) != width - 1 for row in rows):
+    if any((row.count(delimiter) + 1 if delimiter else len(row.split())) != width for row in rows):
         return None
+    if decimal == "comma":
+        if delimiter == "," or any("." in row for row in rows):
+            return None
+        rows = [row.replace(",", ".") for row in rows]
     try:
         block = np.loadtxt(rows, delimiter=delimiter, comments=None, usecols=list(wanted.values()), ndmin=2)
     except ValueError:
@@ -165,27 +201,31 @@ def numbers_of(
     digits: Mapping[str, int] | None = None,
 ) -> Matrix:
     """Wanted columns of some rows, one cell at a time; `digits` as in `read_table`."""
-    places = list(wanted.values())
-    try:
-        block = _floats(rows, places, decimal)
-    except ValueError:
-        try:
-            block = np.array([[number_of_text(row[k], decimal) for k in places] for row in rows])
-        except ValueError:
-            raise _first_fault(path, chunk, rows, wanted, decimal) from None
-    if not np.isfinite(block).all():
-        raise _first_fault(path, chunk, rows, wanted, decimal)
+    lines = zip(chunk, rows, strict=True)
+    block = np.array([[_number(path, i, name, row[k], decimal) for name, k in wanted.items()] for i, row in lines])
     in_units(block, lambda k: (row[k] for row in rows), wanted, decimal, digits or {})
     return block
 
 
-def _floats(rows: list[list[str]], places: list[int], decimal: Decimal) -> Matrix:
-    """Plain numbers, quickly; `ValueError` where any needs a closer look."""
-    if decimal == "point":
-        return np.array([[float(row[k]) for k in places] for row in rows])
-    if any("." in row[k] for row in rows for k in places):
-        raise ValueError
-    return np.array([[float(row[k].replace(",", ".")) for k in places] for row in rows])
+def _number(path: str | Path, i: int, name: str, cell: str, decimal: Decimal) -> float:
+    """The finite number in a cell; DataFormatError says what is there instead."""
+    try:
+        value = float(cell)
+        if decimal == "comma" and "." in cell:
+            raise ValueError  # noqa: TRY301
+    except ValueError:
+        text = cell.strip()
+        if not text:
+            raise DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name) from None
+        try:
+            value = number_of_text(text, decimal)
+        except ValueError:
+            kind, hint = advice_on(text, decimal)
+            raise kind(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name) from None
+    if not isfinite(value):
+        message = f"expected a finite number, found {cell.strip()[:40]!r}; remove the row or repair it"
+        raise DataFormatError(path, message, line=i + 1, column=name)
+    return value
 
 
 def decimal_of_cells(
@@ -228,29 +268,8 @@ def in_units(
                 block[:, column] = [seconds_of_text(text, places, decimal) for text in cells(wanted[name])]
 
 
-def _first_fault(
-    path: str | Path, chunk: list[int], rows: list[list[str]], wanted: Mapping[str, int], decimal: Decimal
-) -> DataFormatError:
-    """Find the first cell that is not a finite number (slow, so done only once one is known to be there)."""
-    for i, row in zip(chunk, rows, strict=True):
-        for name, k in wanted.items():
-            text = row[k].strip()
-            if not text:
-                return DataFormatError(path, "expected a number, found an empty cell", line=i + 1, column=name)
-            try:
-                value = number_of_text(text, decimal)
-            except ValueError:
-                kind, hint = advice_on(text, decimal)
-                return kind(path, f"expected a number, found {text[:40]!r}{hint}", line=i + 1, column=name)
-            if not np.isfinite(value):
-                message = f"expected a finite number, found {text[:40]!r}; remove the row or repair it"
-                return DataFormatError(path, message, line=i + 1, column=name)
-    msg = "a fault was reported but none found"
-    raise AssertionError(msg)
-
-
 def advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:
-    """What to do about a cell that is no number; rows of digits are no damage."""
+    """Advise about a cell that is no number; rows of digits are no damage."""
     if text.count(":") > 1:
         return ForeignNumberError, " (times are numbers, or dates such as 2024-05-01T10:00:00.25+02:00)"
     if is_number(text):

@@ -10,18 +10,16 @@ import numpy as np
 from magmatch.arguments import column_of, number_of, numbers_of
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
-from magmatch.data.tables.text import text_blocks
+from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import (
     advice_on_comments,
     cells_of,
     decimal_of_cells,
-    delimiter_of,
-    is_row,
     listed,
     names_of,
     put_seconds,
+    rows_of,
     split_row,
-    stated_delimiter,
 )
 from magmatch.data.tables.text_rows import numbers_of as numbers_in
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -95,16 +93,11 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     DataFormatError
         It is none; says line and column.
     """
-    rows = [(b.start + i, line) for b in text_blocks(path, None) for i, line in enumerate(b.lines)]
-    comments = [line.strip().lstrip("#").strip() for _, line in rows if line.strip() and not is_row(line)]
-    rows = [(i, line) for i, line in rows if is_row(line)]
-    mark = stated_delimiter(rows[0][1]) if rows else None
-    rows = rows[1:] if mark else rows
-    if len(rows) < 2:
+    rows = rows_of(path, text_lines(path))
+    if len(rows.at) < 2:
         raise DataFormatError(path, f"expected a header row ({','.join(COLUMNS)}) and fixed points below, found none")
-    (first, header), *rest = rows
-    mark = mark if mark and mark in header else delimiter_of(path, header, first + 1)
-    names = names_of(path, split_row(header, mark), first + 1, COLUMNS, comments)
+    (first, *at), mark, comments = rows.at, rows.delimiter, rows.comments
+    names = names_of(path, split_row(rows.lines[first], mark), first + 1, COLUMNS, comments)
     in_degrees = not set(DEGREES) <= set(names) and set(DEGREES.values()) <= set(names)
     stands_for = DEGREES if in_degrees else {}
     missing = [name for name in COLUMNS if stands_for.get(name, name) not in names]
@@ -112,8 +105,7 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
         columns = f"{', '.join(COLUMNS)} (or {', '.join(DEGREES.values())} for x, y)"
         message = f"expected columns {columns}; missing {', '.join(missing)}; found {listed(names)}"
         raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=first + 1)
-    at = [i for i, _ in rest]
-    cells = cells_of(path, [line for _, line in rest], at, mark, names, is_last=True)
+    cells = cells_of(path, [rows.lines[i] for i in at], at, mark, names, is_last=True)
     wanted = {name: names.index(stands_for.get(name, name)) for name in NUMBERS}
     picked = ((i + 1, [row[k] for k in wanted.values()]) for i, row in zip(at, cells, strict=True))
     decimal = decimal_of_cells(path, picked, [stands_for.get(name, name) for name in NUMBERS])

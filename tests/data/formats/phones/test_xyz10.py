@@ -103,8 +103,8 @@ def test_with_a_trajectory_it_is_a_survey_in_either_calibration(tmp_path, log):
     ("row", "said"),
     [
         ("1574568614860\tTYPE_MAGNETIC_FIELD\t1\tup\t3\t3", "column 'y'"),
-        ("1574568614860\tTYPE_MAGNETIC_FIELD\t1\t2", "expected 4 numbers (time, x, y, z), found 3"),
-        ("1574568614860\tTYPE_WAYPOINT\t1", "expected 3 numbers (time, x, y), found 2"),
+        ("1574568614860\tTYPE_MAGNETIC_FIELD\t1\t2", "expected 5 cells (sensor, time, x, y, z), found 4"),
+        ("1574568614860\tTYPE_WAYPOINT\t1", "expected 4 cells (sensor, time, x, y), found 3"),
         ("1574568614860\tTYPE_WAYPOINT\t1\t1e12", "expected metres within"),
     ],
 )

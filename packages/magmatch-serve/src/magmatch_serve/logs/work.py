@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a worker process does with a whole log: read it, localize or register it, say the result."""
 
-import ctypes
 import logging
 import multiprocessing
 import os
@@ -36,6 +35,7 @@ from magmatch.viz.figures.plotting import magnitude_ut
 from magmatch.viz.figures.slices import cut_normal_to, field_on
 from magmatch_serve.catalogue import Listing
 from magmatch_serve.config import ServeConfig
+from magmatch_serve.logs.bounds import bounded, give_back_memory
 from magmatch_serve.logs.remarks import in_query_words, listening
 from magmatch_serve.refusals import RefusedError, without_paths
 
@@ -123,7 +123,7 @@ def work_on_log(
     except TimeoutError:
         return RefusedError(503, f"the log took longer than {config.max_work_time:g} s; send a shorter one")
     except MemoryError:
-        return RefusedError(413, "the log needs more memory than there is; send a shorter one")
+        return RefusedError(413, "the log needs more room than it may take; send a shorter one")
     except MagmatchError as error:
         is_of_maps = isinstance(error, DataFormatError) and error.path.parent == place
         status = 501 if isinstance(error, MissingExtraError) else 503 if is_of_maps else 422
@@ -133,7 +133,7 @@ def work_on_log(
         log.exception("a log was not worked on")
         return RefusedError(500, "the service made a mistake with this log; please report it")
     finally:
-        _give_back_memory()
+        give_back_memory()
 
 
 def work_on_sent_log(
@@ -149,7 +149,8 @@ def work_on_sent_log(
 def _answer(place: Path, served: Listing, upload: Path, question: LogQuestion, config: ServeConfig) -> dict[str, Any]:
     _refuse_bombs(upload, config.max_unpacked)
     with listening() as remarks:
-        survey = read_survey(upload, question.format)
+        with bounded(config.max_reading, config.max_unpacked, config.max_work_time):
+            survey = read_survey(upload, question.format)
         if len(survey) > config.max_log:
             raise RefusedError(413, f"expected a log of at most {config.max_log} samples, found {len(survey)}")
         survey, known = replace(survey, name="log"), _place(place, served)
@@ -192,12 +193,6 @@ def _localized(known: Place, survey: Survey, question: WhereOfLog, config: Local
         T = track.poses
         document["trajectory"] = np.column_stack([times[rows], T.translation, T.rotation.as_quat()]).tolist()
     return document
-
-
-def _give_back_memory() -> None:
-    """Let the system have what a log needed: glibc keeps pages between others that are in use."""
-    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
-        trim(0)
 
 
 @lru_cache(maxsize=2)

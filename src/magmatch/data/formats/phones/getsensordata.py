@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, SurveyedPoints, stream_of
-from magmatch.data.formats.phones.tagged_rows import TaggedRows, lines_of
+from magmatch.data.formats.phones.tagged_rows import lines_of, read_tagged
 from magmatch.data.tables.text_rows import decimal_of_cells
 from magmatch.errors import DataFormatError
+from magmatch.typing import Indices, Matrix
 
 APP = "GetSensorData"
 _TAGS: Mapping[str, Sensor] = {"MAGN": "field", "ACCE": "acceleration", "GYRO": "rate"}
@@ -35,7 +36,7 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
     The app's times come in bursts; the sensors' own are even. So a row's time is its sensor's, moved by the median of
     what the app's clock is ahead: of all sensors together where they share a clock.
     """
-    blocks = _rows(path, raw, _TAGS, _NAMES, recover).blocks()
+    blocks = _read(path, raw, _TAGS, _NAMES, recover)
     ahead = {tag: float(np.median(block[:, 0] - block[:, 1])) for tag, (block, _) in blocks.items()}
     if ahead and max(ahead.values()) - min(ahead.values()) < ONE_CLOCK:
         ahead = dict.fromkeys(
@@ -51,7 +52,7 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
 
 def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
     """Read the points that the walker marked, which have the app's times only."""
-    blocks = _rows(path, raw, {_POINT}, _POINT_NAMES, recover).blocks()
+    blocks = _read(path, raw, {_POINT}, _POINT_NAMES, recover)
     if _POINT not in blocks:
         return None
     block, lines = blocks[_POINT]
@@ -59,15 +60,14 @@ def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> Surveye
     return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0], block[:, 2:4], lines, floors, in_degrees=True)
 
 
-def _rows(path: Path, raw: bytes, tags: Collection[str], names: Sequence[str], recover: bool) -> TaggedRows:
-    """Rows with some tags, with the decimal mark of the whole log: that of its sensors' rows."""
+def _read(
+    path: Path, raw: bytes, tags: Collection[str], names: Sequence[str], recover: bool
+) -> dict[str, tuple[Matrix, Indices]]:
+    """Numbers of the rows with some tags, with the decimal mark of the whole log: that of its sensors' rows."""
     lines = lines_of(raw)
     _require_order(path, lines)
     decimal = decimal_of_cells(path, ((i, cells) for i, _, cells in _tagged(lines, _TAGS, len(_NAMES))), _NAMES)
-    rows = TaggedRows(path, names, decimal, recover=recover)
-    for i, tag, cells in _tagged(lines, tags, len(names)):
-        rows.take(tag, i, cells)
-    return rows
+    return read_tagged(path, _tagged(lines, tags, len(names)), names, decimal=decimal, recover=recover)
 
 
 def _tagged(lines: Sequence[str], tags: Collection[str], n: int) -> Iterator[tuple[int, str, list[str]]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What an export says beside the readings: when phyphox was paused, and which way Sensor Logger's axes point."""
+"""The metadata beside the readings: when phyphox was paused, and which way Sensor Logger's axes point."""
 
 import logging
 from collections.abc import Callable, Mapping, Sequence

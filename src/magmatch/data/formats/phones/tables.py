@@ -2,20 +2,19 @@
 """Tables of phone apps, told by their headers: phyphox, AndroSensor, Sensor Logger, and Android's own fields."""
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, WORDS, Sensor, Stream, stream_of
-from magmatch.data.formats.phones.tagged_rows import TaggedRows
-from magmatch.data.tables.nanoseconds import seconds_of
-from magmatch.data.tables.table import Table, read_table
+from magmatch.data.formats.phones.tagged_rows import read_tagged
+from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.text_rows import decimal_of_cells, delimiter_of, is_row, listed, split_row, stated_delimiter
+from magmatch.data.tables.text_rows import Rows, decimal_of_cells, listed, rows_of, split_row
 from magmatch.errors import DataFormatError
-from magmatch.typing import Scalars
+from magmatch.typing import Indices, Matrix, Scalars
 
 # What the tables are called, in the order in which they are preferred where two hold one sensor.
 MEMBERS: Mapping[str, Sensor | None] = {
@@ -53,7 +52,7 @@ _ANDROID_TYPES: Mapping[str, Sensor] = {
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """What the columns of a table are: `sensors` holds the names of x, y and z, `tag` that of a sensor's name."""
+    """The columns of a table: `sensors` holds the names of x, y and z, `tag` that of a sensor's name."""
 
     app: str
     time: str
@@ -77,8 +76,8 @@ def read_table_streams(
 ) -> tuple[str, dict[Sensor, Stream]]:
     """Name the app and read the sensors of a table that are wanted."""
     lines = text_lines(place, raw)
-    first, *second = [i for i, line in enumerate(lines) if is_row(line)][:2] or [0]
-    first = second[0] if second and stated_delimiter(lines[first]) else first
+    rows = rows_of(place, lines)
+    first = rows.at[0] if rows.at else 0
     names = _cells(lines[first])
     columns = columns_of(names, stem_of(place.name))
     if columns is None:
@@ -87,26 +86,26 @@ def read_table_streams(
         )
         raise DataFormatError(place, message, line=first + 1)
     if columns.tag:
-        return columns.app, _tagged(place, lines, first, columns, wanted, recover=recover)
+        return columns.app, _tagged(place, rows, columns, wanted, recover=recover)
     streams = {}
     for sensor, axes in columns.sensors.items():
         if sensor not in wanted:
             continue
         # One table of several sensors has cells without a number wherever one of them is slower.
-        table = _read(place, raw, columns, axes, recover=recover or len(columns.sensors) > 1)
+        table = _read(place, lines, columns, axes, recover=recover or len(columns.sensors) > 1)
         times = table.columns[columns.time]
         values = table.stack(*axes) * PER_UNIT[sensor]
         streams[sensor] = stream_of(place, place.name, times, values, table.line_numbers)
     return columns.app, streams
 
 
-def _read(place: Path, raw: bytes, columns: Columns, axes: tuple[str, ...], *, recover: bool) -> Table:
+def _read(place: Path, lines: list[str], columns: Columns, axes: tuple[str, ...], *, recover: bool) -> Table:
     """Read times, in s, and axes of a table."""
 
     def read(digits: int) -> Table:
-        wanted = [columns.time, *axes]
-        table = read_table(place, wanted, raw=raw, recover=recover, digits={columns.time: digits})
-        table.require(wanted)
+        names = [columns.time, *axes]
+        table = read_table(place, Wanted(names, digits={columns.time: digits}, recover=recover), lines)
+        table.require(names)
         return table
 
     if columns.app != "Android":
@@ -117,7 +116,7 @@ def _read(place: Path, raw: bytes, columns: Columns, axes: tuple[str, ...], *, r
 
 
 def columns_of(names: list[str], stem: str) -> Columns | None:
-    """What the columns of a table are, by their names (lower case) and the table's; None if it is no phone's."""
+    """Tell the columns of a table by their names (lower case) and the table's; None if it is no phone's."""
     if "seconds_elapsed" in names and "time" in names:
         of_table: Sensor = MEMBERS.get(stem) or (
             "linear_acceleration" if stem == "accelerometer" else sensor_named(stem) or "field"
@@ -152,7 +151,7 @@ def _android(names: list[str], stem: str) -> Columns | None:
 
 
 def sensor_named(text: str) -> Sensor | None:
-    """Which sensor a word, or Android's number, stands for."""
+    """Tell the sensor that a word, or Android's number, stands for."""
     word = text.strip().strip("'\"").lower()
     kinds: Mapping[str, Sensor] = {
         "mag": "field", "linear": "linear_acceleration", "gravity": "gravity", "acc": "acceleration", "gyr": "rate",
@@ -183,41 +182,32 @@ def _digits_of_times(app: str, times: Scalars) -> int:
 
 
 def _tagged(
-    place: Path, lines: list[str], first: int, columns: Columns, wanted: Collection[Sensor], *, recover: bool
+    place: Path, rows: Rows, columns: Columns, wanted: Collection[Sensor], *, recover: bool
 ) -> dict[Sensor, Stream]:
     """Rows of several sensors in one table, each named in its row."""
-    names = _cells(lines[first])
+    names = _cells(rows.lines[rows.at[0]])
     (axes,) = columns.sensors.values()
-    used, k = [names.index(name) for name in (columns.time, *axes)], names.index(columns.tag)
-    kinds = (columns.time, *axes)
-    picked = ((line, [cells[i] for i in used if i < len(cells)]) for line, cells in _rows(place, lines, first))
-    rows = TaggedRows(place, kinds, decimal_of_cells(place, picked, kinds), recover=recover)
-    for line, cells in _rows(place, lines, first):
-        sensor = sensor_named(cells[k]) if k < len(cells) else None
-        if sensor in wanted:
-            rows.take(str(sensor), line, [cells[i] if i < len(cells) else "" for i in used])
-    found = rows.blocks()
-    blocks = {sensor: found[sensor] for sensor in wanted if sensor in found}
-    longest = max((block[:, 0] for block, _ in blocks.values()), key=len, default=np.zeros(0))
-    per_second = 10 ** _digits_of_times(columns.app, longest)
-    return {
-        sensor: stream_of(
-            place,
-            f"{place.name} ({WORDS[sensor]})",
-            seconds_of(rows.times[sensor], per_second),
-            block[:, 1:] * PER_UNIT[sensor],
-            numbers,
-        )
-        for sensor, (block, numbers) in blocks.items()
-    }
+    kinds, k = (columns.time, *axes), names.index(columns.tag)
+    used = [names.index(name) for name in kinds]
+    cells = {i + 1: split_row(rows.lines[i], rows.delimiter) for i in rows.at[1:]}
+    picked = {i: [row[k] if k < len(row) else "" for k in used] for i, row in cells.items()}
+    decimal = decimal_of_cells(place, picked.items(), kinds)
+    named = ((i, sensor_named(row[k]) if k < len(row) else None) for i, row in cells.items())
+    held = [(i, str(sensor), picked[i]) for i, sensor in named if sensor in wanted]
 
+    def read(digits: int) -> dict[str, tuple[Matrix, Indices]]:
+        return read_tagged(place, held, kinds, digits, decimal=decimal, recover=recover)
 
-def _rows(place: Path, lines: list[str], first: int) -> Iterator[tuple[int, list[str]]]:
-    """Line number and cells of the rows below a header."""
-    mark = delimiter_of(place, lines[first], first + 1)
-    for i, line in enumerate(lines[first + 1 :], start=first + 2):
-        if is_row(line):
-            yield i, split_row(line, mark)
+    found = read(0)
+    longest = max((block[:, 0] for block, _ in found.values()), key=len, default=np.zeros(0))
+    if digits := _digits_of_times(columns.app, longest):
+        found = read(digits)
+    streams = {}
+    for sensor in (sensor for sensor in wanted if sensor in found):
+        block, numbers = found[sensor]
+        values = block[:, 1:] * PER_UNIT[sensor]
+        streams[sensor] = stream_of(place, f"{place.name} ({WORDS[sensor]})", block[:, 0], values, numbers)
+    return streams
 
 
 def stem_of(name: str) -> str:

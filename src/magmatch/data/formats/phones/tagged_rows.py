@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rows of numbers of several sensors in one text, each row named after its sensor; the first number is its time."""
 
-import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import numpy as np
-
-from magmatch.data.tables.number_marks import Decimal, number_of_text
-from magmatch.data.tables.text_rows import RECOVER, ForeignNumberError, advice_on
-from magmatch.errors import DataFormatError
-from magmatch.number_text import many
+from magmatch.data.tables.number_marks import Decimal
+from magmatch.data.tables.table import Wanted, read_table
 from magmatch.typing import Indices, Matrix
 
-logger = logging.getLogger(__name__)
+# A row: the line it stands on, counted from 1, its sensor, and a cell for each of the names.
+Row = tuple[int, str, Sequence[str]]
 
 
 def lines_of(raw: bytes) -> list[str]:
@@ -26,53 +22,22 @@ def lines_of(raw: bytes) -> list[str]:
     return re.split("\r\n?|\n", text)
 
 
-class TaggedRows:
-    """Collects the rows of each sensor; a faulty one is named, or left out and counted where recovering."""
+def read_tagged(
+    path: Path, rows: Iterable[Row], names: Sequence[str], digits: int = 0, *, decimal: Decimal | None, recover: bool
+) -> dict[str, tuple[Matrix, Indices]]:
+    """Read the numbers of each sensor of which there are rows, (n, k), and the lines they stand on.
 
-    def __init__(self, path: Path, names: Sequence[str], decimal: Decimal, *, recover: bool) -> None:
-        self.path, self.names, self.decimal, self.recover = path, tuple(names), decimal, recover
-        self.times: dict[str, list[float]] = {}  # by sensor; whole numbers as they are, beyond what float64 holds
-        self._rows: dict[str, list[list[float]]] = {}
-        self._lines: dict[str, list[int]] = {}
-        self._n_faults = 0
-
-    def take(self, tag: str, line: int, cells: Sequence[str]) -> None:
-        """Add a row: one cell for each of the names."""
-        try:
-            numbers = [number_of_text(cell, self.decimal) for cell in cells]
-        except ValueError:
-            numbers = []
-        if len(numbers) != len(self.names) or not np.isfinite(numbers).all():
-            if not self.recover:
-                raise self._fault(line, cells)
-            self._n_faults += 1
-            return
-        time = cells[0].strip()
-        self.times.setdefault(tag, []).append(int(time) if time.isdecimal() else numbers[0])
-        self._rows.setdefault(tag, []).append(numbers)
-        self._lines.setdefault(tag, []).append(line)
-
-    def blocks(self) -> dict[str, tuple[Matrix, Indices]]:
-        """Numbers of each sensor of which there are rows, (n, k), and the lines they stand on."""
-        if self._rows and self._n_faults:
-            logger.warning("%s: left out %s that cannot be read", self.path, many(self._n_faults, "row"))
-        return {tag: (np.array(rows), np.array(self._lines[tag], dtype=np.int64)) for tag, rows in self._rows.items()}
-
-    def _fault(self, line: int, cells: Sequence[str]) -> DataFormatError:
-        """What is wrong with a row."""
-        advice = RECOVER
-        if len(cells) != len(self.names):
-            message = f"expected {len(self.names)} numbers ({', '.join(self.names)}), found {len(cells)}{advice}"
-            return DataFormatError(self.path, message, line=line)
-        for name, cell in zip(self.names, cells, strict=True):
-            try:
-                is_finite = bool(np.isfinite(number_of_text(cell, self.decimal)))
-            except ValueError:
-                is_finite = False
-                kind, hint = advice_on(cell.strip(), self.decimal)
-                advice = hint if kind is ForeignNumberError else hint + RECOVER
-            if not is_finite:
-                message = f"expected a finite number, found {cell.strip()[:40]!r}{advice}"
-                return DataFormatError(self.path, message, line=line, column=name)
-        msg = "a fault was reported but none found"
-        raise AssertionError(msg)
+    Times count units of 10**-digits s. `decimal` counts where the numbers leave their decimal mark in doubt. A faulty
+    row is named, or left out and counted where recovering.
+    """
+    held = list(rows)
+    if not held:
+        return {}
+    tags = list(dict.fromkeys(tag for _, tag, _ in held))
+    lines = ["\t".join([str(tags.index(tag)), *cells]) for _, tag, cells in held]
+    columns = ("sensor", *names)
+    wanted = Wanted(columns, columns, "\t", decimal=decimal, digits={names[0]: digits}, recover=recover)
+    table = read_table(path, wanted, lines, [number - 1 for number, _, _ in held])
+    block = table.stack(*names)
+    of = {tag: table.columns["sensor"] == k for k, tag in enumerate(tags)}
+    return {tag: (block[here], table.line_numbers[here]) for tag, here in of.items() if here.any()}

@@ -13,7 +13,7 @@ HEAD = 1_000_000  # bytes that decide
 
 @dataclass(frozen=True, slots=True)
 class TextLog:
-    """How the text of an app is told, and read."""
+    """An app's text: how it is told, and read."""
 
     app: str
     begins_like: Callable[[bytes], bool]
@@ -33,6 +33,6 @@ TEXT_LOGS = (
 
 
 def text_log_of(head: bytes) -> TextLog | None:
-    """Which app's text a file begins like, if any."""
+    """Tell the app whose text a file begins like, if any."""
     text = head[:HEAD].removeprefix(BOM_UTF8)
     return next((log for log in TEXT_LOGS if log.begins_like(text)), None)

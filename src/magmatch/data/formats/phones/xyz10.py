@@ -2,11 +2,12 @@
 """Text logs of XYZ10's Indoor Location Competition: rows ``Unix ms, TYPE_SENSOR, values``, separated by tabs."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, SurveyedPoints, stream_of
-from magmatch.data.formats.phones.tagged_rows import TaggedRows, lines_of
+from magmatch.data.formats.phones.tagged_rows import Row, lines_of, read_tagged
+from magmatch.typing import Indices, Matrix
 
 APP = "XYZ10"
 # Uncalibrated readings have the phone's own bias behind them, and most rows an accuracy: neither is used.
@@ -30,7 +31,7 @@ def is_xyz10(head: bytes) -> bool:
 
 def read_xyz10(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
     """Read the sensors that are wanted, on the clock of the phone."""
-    blocks = _rows(path, raw, {tag for tag, sensor in _TAGS.items() if sensor in wanted}, "xyz", recover).blocks()
+    blocks = _read(path, raw, {tag for tag, sensor in _TAGS.items() if sensor in wanted}, "xyz", recover)
     return {
         _TAGS[tag]: stream_of(path, f"{tag} rows", block[:, 0] * MS, block[:, 1:] * PER_UNIT[_TAGS[tag]], lines)
         for tag, (block, lines) in blocks.items()
@@ -39,23 +40,28 @@ def read_xyz10(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: b
 
 def points_of_xyz10(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
     """Read the points that the walker marked: x and y in the frame of the floor's plan."""
-    block, lines = _rows(path, raw, {_POINT}, "xy", recover).blocks().get(_POINT, (None, None))
+    block, lines = _read(path, raw, {_POINT}, "xy", recover).get(_POINT, (None, None))
     if block is None or lines is None:
         return None
     floors = tuple(name.decode("utf-8", "replace") for name in _FLOOR.findall(raw)[:1])
     return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0] * MS, block[:, 1:], lines, floors)
 
 
-def _rows(path: Path, raw: bytes, tags: Collection[str], axes: str, recover: bool) -> TaggedRows:
-    """Rows with some tags: time and values."""
-    names = ("time", *axes)
-    rows = TaggedRows(path, names, "point", recover=recover)
-    for i, line in enumerate(lines_of(raw), start=1):
+def _read(
+    path: Path, raw: bytes, tags: Collection[str], axes: str, recover: bool
+) -> dict[str, tuple[Matrix, Indices]]:
+    """Times and values of the rows with some tags."""
+    rows = _tagged(lines_of(raw), tags, len(axes))
+    return read_tagged(path, rows, ("time", *axes), decimal=None, recover=recover)
+
+
+def _tagged(lines: Sequence[str], tags: Collection[str], n: int) -> Iterator[Row]:
+    """Rows with some tags: time and the first values."""
+    for i, line in enumerate(lines, start=1):
         if line.startswith("#"):
             continue
         for row in _JOINED.split(line) if line.count("\tTYPE_") > 1 else (line,):
             time, _, rest = row.partition("\t")
             tag, *cells = rest.split("\t")
             if tag in tags:
-                rows.take(tag, i, [time, *cells[: len(axes)]])
-    return rows
+                yield i, tag, [time, *cells[:n]]

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files of recorders, each read by a library: ROS 1 bags by rosbags, ROS 2 databases by SQLite, MCAP by mcap.
+
+Messages come as they are stored: where the recorder's clock was set back, only that order tells. The readers of
+rosbags for ROS 2 sort them by time, and pass over what SQLite still holds in a journal.
+"""
+
+import errno
+import sqlite3
+import struct
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import quote
+
+import mcap.records as mcap
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile, McapError
+from mcap.reader import SeekingReader
+from mcap.stream_reader import StreamReader, breakup_chunk
+from rosbags.rosbag1 import Reader
+
+from magmatch.data.logs.log import Channel, Count, Message, Topic, printable, topics_of
+from magmatch.errors import DataFormatError, MagmatchError
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+RECORD_HEAD = 9  # bytes of operation and length before the content of a record of MCAP
+
+
+@contextmanager
+def damage_told(path: Path, kind: str, tool: str) -> Iterator[None]:
+    """Say in one line what a library finds wrong in a file, and which tool mends it."""
+    try:
+        yield
+    except MagmatchError:
+        raise
+    except Exception as error:  # libraries raise whatever they stumble over
+        is_short = isinstance(error, EndOfFile) or getattr(error, "errno", None) == errno.EINVAL  # a seek to nowhere
+        if isinstance(error, OSError) and error.errno is not None and not is_short:
+            raise
+        words = "it ends too early" if is_short else " ".join(str(error).split())
+        found = printable(words.rstrip(".") or type(error).__name__)
+        if "not supported" in found:
+            raise DataFormatError(path, f"is a {kind} of a kind that is not read: {found}") from None
+        raise DataFormatError(path, f"is a damaged {kind} ({found}); {tool} mends it") from None
+
+
+class _Place(NamedTuple):
+    """An entry of a bag's index, sorted by its place in the file: no chunk is opened twice."""
+
+    chunk_pos: int
+    offset: int
+    time: int
+
+
+class Ros1Log:
+    """A ROS 1 bag, open for reading."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._reader = path, Reader(path)
+        self._damage_told = partial(damage_told, path, "ROS 1 bag", "rosbag reindex")
+        with self._damage_told():
+            self._reader.open()
+        self._channels = {c.id: Channel.named(c.topic, c.msgtype, "ros1") for c in self._reader.connections}
+        # Where the reader expects what it sorted by time.
+        self._reader.indexes = {
+            key: sorted(_Place(one.chunk_pos, one.offset, one.time) for one in index)  # type: ignore[misc]
+            for key, index in self._reader.indexes.items()
+        }
+
+    def close(self) -> None:
+        """Close the file."""
+        self._reader.close()
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        times = {key: [one.time for one in index] for key, index in self._reader.indexes.items()}
+        counts = {key: Count(len(found), min(found), max(found)) for key, found in times.items() if found}
+        return topics_of((channel, counts.get(key, Count())) for key, channel in self._channels.items())
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, in the order of the file."""
+        wanted = [c for c in self._reader.connections if self._channels[c.id].topic in topics]
+        with self._damage_told():
+            for connection, log_ns, payload in self._reader.messages(wanted) if wanted else ():
+                yield self._channels[connection.id], log_ns, payload
+
+
+class SqliteLog:
+    """The database of a ROS 2 bag, open for reading; nothing in it is trusted."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        tools = "sqlite3 (.recover), and then ros2 bag reindex,"
+        self._damage_told = partial(damage_told, path, "ROS 2 bag", tools)
+        # Where the recorder left a journal, SQLite has to look at it; else the file is not even locked.
+        journal = path.with_name(path.name + "-wal")
+        mode = "mode=ro" if journal.exists() and journal.stat().st_size else "mode=ro&immutable=1"
+        with self._damage_told():
+            self._database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
+        self._database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+        try:
+            with self._damage_told():
+                self._channels = self._read_channels()
+        except DataFormatError:
+            self.close()
+            raise
+
+    def _read_channels(self) -> dict[int, Channel]:
+        """Topics by number; only true tables are asked, since a view could compute without end."""
+        self._database.execute("PRAGMA trusted_schema = OFF")
+        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if missing := {"topics", "messages"} - tables:
+            message = f"is a SQLite database without table {', '.join(sorted(missing))}: not a ROS 2 bag"
+            raise DataFormatError(self.path, message)
+        rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        if not all(isinstance(key, int) and all(isinstance(text, str) for text in texts) for key, *texts in rows):
+            raise DataFormatError(self.path, "its table of topics holds other things than names")
+        return {key: Channel.named(*texts) for key, *texts in rows}
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+        with self._damage_told():
+            found = {key: Count(*count) for key, *count in self._database.execute(query)}
+        counts = {key: found.get(key, Count()) for key in self._channels}
+        if not all(isinstance(number, int) for count in counts.values() for number in count):
+            raise DataFormatError(self.path, "holds messages whose time stamp is no whole number")
+        return topics_of((channel, counts[key]) for key, channel in self._channels.items())
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, in the order in which they were written."""
+        wanted = {key: channel for key, channel in self._channels.items() if channel.topic in topics}
+        marks = ",".join(map(str, wanted))
+        query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id"
+        with self._damage_told():
+            for key, log_ns, payload in self._database.execute(query):
+                if type(log_ns) is not int or type(payload) is not bytes:
+                    raise DataFormatError(self.path, "holds a message without a whole number as time stamp, or data")
+                yield wanted[key], log_ns, payload
+
+
+class McapLog:
+    """An MCAP file, open for reading; chunks are passed over where a whole index says what they hold."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._stream = path, path.open("rb")
+        self._damage_told = partial(damage_told, path, "MCAP file", "mcap recover")
+        self._schemas = {0: ""}
+        self._channels: dict[int, Channel] = {}
+        self._counts: dict[int, Count] = {}
+        self._chunks: list[mcap.ChunkIndex] | None = None
+        try:
+            with self._damage_told():
+                self._stream.seek(-len(MCAP_MAGIC), 2)
+                if self._stream.read() != MCAP_MAGIC:
+                    raise EndOfFile  # noqa: TRY301
+                self._stream.seek(0)
+                if not self._read_index():
+                    self._count()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    def topics(self) -> list[Topic]:
+        """All topics, by name."""
+        return topics_of((channel, self._counts.get(key, Count())) for key, channel in self._channels.items())
+
+    def messages(self, topics: Collection[str]) -> Iterator[Message]:
+        """Messages of some topics, in the order of the file."""
+        wanted = {key: channel for key, channel in self._channels.items() if channel.topic in topics}
+        left = {key: self._counts.get(key, Count()).n for key in wanted}
+        with self._damage_told():
+            for record in self._records(wanted):
+                if isinstance(record, mcap.Message) and record.channel_id in wanted:
+                    left[record.channel_id] -= 1
+                    yield wanted[record.channel_id], _possible(record.log_time), record.data
+            if any(left.values()):  # in a chunk without a checksum, a wrong length hides what follows
+                msg = "its chunks hold other messages than its index names"
+                raise McapError(msg)
+
+    def _records(self, wanted: Collection[int]) -> Iterator[mcap.McapRecord]:
+        """All records of the file, or those of the chunks that hold some channels."""
+        if self._chunks is None:
+            self._stream.seek(0)
+            yield from StreamReader(self._stream, validate_crcs=True).records
+        for chunk in self._chunks or ():
+            if not chunk.message_index_offsets.keys().isdisjoint(wanted):
+                self._stream.seek(chunk.chunk_start_offset + RECORD_HEAD)
+                yield from breakup_chunk(mcap.Chunk.read(ReadDataStream(self._stream)), validate_crc=True)
+
+    def _read_index(self) -> bool:
+        """Learn from the indexes what the chunks hold; whether that is all there is."""
+        summary = SeekingReader(self._stream).get_summary()
+        if summary is None or summary.statistics is None:
+            return False
+        for record in (*summary.schemas.values(), *summary.channels.values()):
+            self._define(record)
+        chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+        for place in (place for chunk in chunks for place in chunk.message_index_offsets.values()):
+            self._stream.seek(place + RECORD_HEAD)
+            key, n_bytes = struct.unpack("<HI", self._stream.read(6))
+            # The library makes Python numbers of them, which takes as long as a quarter of reading the log.
+            times = np.frombuffer(self._stream.read(n_bytes), "<u8")[::2]
+            if len(times):
+                self._add(key, Count(len(times), int(times.min()), _possible(int(times.max()))))
+        is_whole = sum(count.n for count in self._counts.values()) == summary.statistics.message_count
+        self._chunks = chunks if is_whole and self._counts.keys() <= self._channels.keys() else None
+        return self._chunks is not None
+
+    def _count(self) -> None:
+        """Learn from all records what the file holds."""
+        self._counts = {}
+        for record in self._records(()):
+            self._define(record)
+            if isinstance(record, mcap.Message):
+                if record.channel_id not in self._channels:
+                    msg = f"a message of channel {record.channel_id}, which is nowhere defined"
+                    raise McapError(msg)
+                self._add(record.channel_id, Count(1, *2 * [_possible(record.log_time)]))
+
+    def _define(self, record: mcap.McapRecord) -> None:
+        """Take what is a schema or a channel."""
+        if isinstance(record, mcap.Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, mcap.Channel):
+            if record.schema_id not in self._schemas:
+                msg = f"channel {record.id} of schema {record.schema_id}, which is nowhere defined"
+                raise McapError(msg)
+            kind = self._schemas[record.schema_id]
+            self._channels[record.id] = Channel.named(record.topic, kind, record.message_encoding)
+
+    def _add(self, key: int, count: Count) -> None:
+        self._counts[key] = self._counts.get(key, Count()).plus(count)
+
+
+def _possible(log_ns: int) -> int:
+    """A time of logging that is one."""
+    if log_ns >> 63:
+        msg = f"a message of the year {1970 + log_ns // 31_556_952_000_000_000}"
+        raise McapError(msg)
+    return log_ns
