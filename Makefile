@@ -60,7 +60,7 @@ release-check: check
 results: setup
 	$(BIN)/python benchmarks/write_results.py
 
-# Under two hours on two cores; an interrupted run goes on where it stood.
+# Under three hours on two cores; an interrupted run goes on where it stood.
 bench: setup
 	OPENBLAS_NUM_THREADS=1 $(BIN)/magmatch evaluate --jobs $(WORKERS) --out evaluation-output
 

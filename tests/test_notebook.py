@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The example notebook runs as it stands, and every noun shows a picture in it."""
+"""The example notebooks run as they stand, and every noun shows a picture in the first."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,18 +11,21 @@ nbformat = pytest.importorskip("nbformat")
 pytest.importorskip("ipykernel")
 pytest.importorskip("plotly")
 
-NOTEBOOK = Path(__file__).parents[1] / "examples" / "04_notebook.ipynb"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 PLOTLY = "application/vnd.plotly.v1+json"
+
+
+def what_it_shows(name, folder):
+    """What each cell of code that shows anything shows last, by its last line."""
+    notebook = nbformat.read(EXAMPLES / name, as_version=4)
+    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(folder)}}).execute()
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code" and cell.outputs]
+    return {cell.source.splitlines()[-1]: cell.outputs[-1].get("data", {}) for cell in cells}
 
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory):
-    """What each cell of code shows last, by its last line."""
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
-    folder = str(tmp_path_factory.mktemp("notebook"))
-    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": folder}}).execute()
-    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    return {cell.source.splitlines()[-1]: cell.outputs[-1]["data"] for cell in cells}
+    return what_it_shows("04_notebook.ipynb", tmp_path_factory.mktemp("notebook"))
 
 
 @pytest.mark.slow
@@ -48,5 +51,15 @@ def test_the_registration_is_accepted(shown):
     assert "accepted" in shown["result"]["text/plain"]
 
 
-def test_the_notebook_is_kept_without_what_it_prints():
-    assert all(not cell.outputs for cell in nbformat.read(NOTEBOOK, as_version=4).cells if cell.cell_type == "code")
+@pytest.mark.slow
+def test_a_descriptor_of_ones_own_is_used_and_drawn(tmp_path):
+    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
+    shown = what_it_shows("06_own_descriptor.ipynb", tmp_path)
+    assert shown["own, hov"]["text/plain"].count("keypoints") == 2
+    assert all(PLOTLY in shown[line] for line in shown if "_figure(" in line)
+    assert len(shown) == 4
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.ipynb")), ids=lambda path: path.stem)
+def test_a_notebook_is_kept_without_what_it_prints(path):
+    assert all(not cell.outputs for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code")

@@ -16,11 +16,11 @@ from magmatch_evaluation.findings import (
     save_tables,
     write_html,
 )
-from magmatch_evaluation.notes import PUBLISHED
+from magmatch_evaluation.notes import PRINTED, PUBLISHED
 from magmatch_evaluation.plan import ALL
-from magmatch_evaluation.result_tables import mapping_table
+from magmatch_evaluation.result_tables import mapping_table, printed_table
 from magmatch_evaluation.rows import MapRow, Row
-from magmatch_evaluation.statistics import shortfalls, summarize
+from magmatch_evaluation.statistics import shortfalls, summaries, summarize
 
 
 def row(experiment, method, seed, distance=0.002, angle=0.001, *, is_accepted=True, is_there=True):
@@ -64,6 +64,22 @@ def test_published_figures_stand_below_ours(findings):
     table = result_tables(findings)[0]
     k = next(k for k, cells in enumerate(table.rows) if cells[:2] == ("office-z30", "paper"))
     assert table.rows[k + 1][7:9] == ("81.6 ± 29.9", "3.23 ± 1.83")
+
+
+def test_the_published_table_is_whole_and_says_what_differs(findings):
+    table = printed_table(findings.of("published")[1])
+    assert {cells[1] for cells in table.rows} == {e.name for e in EXPERIMENTS.values() if e.group == "published"}
+    assert {cells[0] for cells in table.rows} == {row.title for row in PRINTED}
+    assert all(len(cells) == len(table.header) and cells[-1] for cells in table.rows)
+    cells = dict(zip(table.header, next(c for c in table.rows if c[1] == "noise-x30"), strict=True))
+    assert cells["Mag-Match, as published"] == "19.4 ± 3.6, 0.92 ± 0.40"
+    assert cells["paper"].endswith("of 1 only; 1 of 2 right (9% to 91%), 0 wrong, 0 refused, 1 no pose")
+    assert table.title in markdown(findings)
+
+
+def test_a_quick_run_stands_beside_the_published_table_too():
+    table = printed_table(summaries(tuple(QUICK.values()), [row("quick-office-x30", "paper", 0)]))
+    assert [(cells[1], cells[-1].endswith("fewer samples")) for cells in table.rows] == [("quick-office-x30", True)]
 
 
 def test_trials_without_a_pose_are_told_and_have_no_95_percent(findings):
@@ -124,7 +140,7 @@ def test_html_page_is_one_file_with_all_tables_and_a_figure_for_each_condition(f
     pytest.importorskip("plotly", reason="figures need the extra 'viz'")
     write_html(tmp_path / "report.html", findings)
     text = (tmp_path / "report.html").read_text()
-    assert text.count('class="plot"') == 5 + 2 * 8
+    assert text.count('class="plot"') == len(findings.of("published")[0]) + 2 * 8
     assert all(title in text for title in ("Public recordings", "Harder: overlap", "Maps against held-out data"))
     assert not re.search(r"(src|href)=.https?:", text.split('id="plotly"')[0])
 

@@ -15,8 +15,10 @@ from magmatch_evaluation.survey_pairs import (
     CeaElsewhere,
     Halves,
     Interleaved,
+    OnePlace,
     Pair,
     Simulated,
+    Turned,
     TwoRecordings,
 )
 
@@ -55,19 +57,39 @@ class Experiment:
 WALK = Tolerance(0.25, 5.0)
 
 
+# The simulation as printed: noise of 0.01 T. No strength is printed; components within 0.01 T are described.
+AS_PRINTED = SimulationConfig(noise_sd=0.01, anomaly_sd=0.01, n_samples=1000)
+
+
 def _published() -> list[Experiment]:
-    """Equivalents of the published experiments: the published data are not public."""
+    """Equivalents of the published experiments, whose data are not public; `notes.PRINTED` says what differs."""
 
-    def one(name: str, scenario: str, title: str, tolerance: Tolerance | None = None) -> Experiment:
-        return Experiment(name, title, "published", Simulated(scenario), 20, ALL_METHODS, tolerance or Tolerance())
+    def one(
+        name: str, title: str, make: Any = None, n: int = 20, methods: tuple[str, ...] = MAIN_METHODS
+    ) -> Experiment:
+        tolerance = WALK if name.startswith("corridor") else Tolerance()
+        return Experiment(name, title, "published", make or Simulated(name), n, methods, tolerance)
 
+    def room(kind: str, title: str, make: Any, n: int) -> list[Experiment]:
+        return [
+            one(f"{kind}-z30", f"{title}, turned by 30 deg about z", Turned(make, "z", 30.0), n),
+            one(f"{kind}-x30", f"{title}, turned by -30 deg about x", Turned(make, "x", -30.0), n),
+        ]
+
+    few = SimulationConfig(n_samples=1000)
     return [
-        one("office-z30", "office-z30", "office room, target turned by 30 deg about z (gravity aligned)"),
-        one("office-x30", "office-x30", "office room, target turned by -30 deg about x"),
-        one("table-map", "table", "table, rows along against rows across, 20 deg about y and z"),
-        one("table-robot", "table-robot", "robot in circles 0.05 m above the table, in the table's map"),
-        one("corridor", "corridor", "a stretch of corridor walked twice by dead reckoning", WALK),
-    ]
+        one("office-z30", "office room, target turned by 30 deg about z (gravity aligned)", methods=ALL_METHODS),
+        one("office-x30", "office room, target turned by -30 deg about x", methods=ALL_METHODS),
+        *room("noise", "one office room, noise drawn anew", OnePlace("office-random"), 100),
+        *room("inside", "office room with obstacles inside", Simulated("office-inside", few), 10),
+        *room("printed", "one room, obstacles inside, printed noise", OnePlace("office-inside", AS_PRINTED), 20),
+        one("table-map", "table, rows along against rows across, 20 deg about y and z", Simulated("table"),
+            methods=ALL_METHODS),
+        one("table-msac", "one table, MSAC drawn anew", OnePlace("table", is_noise_drawn=False)),
+        one("table-robot", "robot in circles 0.05 m above the table, in the table's map", methods=ALL_METHODS),
+        one("corridor", "a stretch of corridor walked twice by dead reckoning", methods=ALL_METHODS),
+        one("corridor-msac", "one corridor, MSAC drawn anew", OnePlace("corridor", is_noise_drawn=False)),
+    ]  # fmt: skip
 
 
 def _refusals() -> list[Experiment]:
@@ -170,13 +192,23 @@ SWEEP_WORDS = {what: f"Scenario {scenario}; {what}: {unit}." for what, unit, sce
 EXPERIMENTS: dict[str, Experiment] = {
     experiment.name: experiment for experiment in (*_published(), *_refusals(), *_harder(), *_recorded(), *_mapped())
 }
+QUICK_PREFIX = "quick-"
+
+
+def _quick(name: str, make: Any, methods: tuple[str, ...]) -> Experiment:
+    """Make an experiment of few seeds."""
+    full, n_samples = EXPERIMENTS[name], (make.make if isinstance(make, Turned) else make).config.n_samples
+    title = f"{full.title}; {n_samples} samples"
+    return Experiment(QUICK_PREFIX + name, title, full.group, make, 2, methods, full.tolerance)
+
+
 # Under two minutes on one core: smaller surveys, few seeds.
 QUICK: dict[str, Experiment] = {
-    f"quick-{name}": Experiment(
-        f"quick-{name}", f"{EXPERIMENTS[name].title}; {n_samples} samples", EXPERIMENTS[name].group,
-        Simulated(name, SimulationConfig(n_samples=n_samples)), 2, methods,
-    )
-    for name, n_samples, methods in (
-        ("office-x30", 600, ("default", "paper", "sift", "gicp")), ("nowhere", 400, ("default", "paper")),
+    experiment.name: experiment
+    for experiment in (
+        _quick("office-x30", Simulated("office-x30", SimulationConfig(n_samples=600)), (*MAIN_METHODS, "gicp")),
+        _quick("noise-x30", Turned(OnePlace("office-random", SimulationConfig(n_samples=600)), "x", -30.0),
+               MAIN_METHODS),
+        _quick("nowhere", Simulated("nowhere", SimulationConfig(n_samples=400)), ("default", "paper")),
     )
 }  # fmt: skip

@@ -17,6 +17,7 @@ from magmatch_evaluation.result_tables import (
     curve_table,
     error_table,
     mapping_table,
+    printed_table,
     refusal_table,
 )
 from magmatch_evaluation.rows import AnyRow, MapRow
@@ -83,6 +84,12 @@ def result_tables(findings: Findings) -> list[TextTable]:
     return [group_table(findings, group) for group in findings.groups]
 
 
+def _beside_the_published(findings: Findings) -> list[TextTable]:
+    """Lay out the published table with ours beside it, where any of its experiments was run."""
+    laid = printed_table(findings.of("published")[1])
+    return [laid] if laid.rows else []
+
+
 def costs(findings: Findings) -> TextTable:
     """Lay out time and memory, but for the points of a curve, which differ little."""
     dear = [e for e in findings.experiments if e.group not in SWEEP_AXES]
@@ -92,7 +99,8 @@ def costs(findings: Findings) -> TextTable:
 def markdown(findings: Findings) -> str:
     """Lay out the whole evaluation as Markdown, headings of the third level."""
     provenance = "\n".join([f"`{findings.command}`. {_versions()}", *findings.gaps])
-    tables = [laid.markdown().strip() for laid in (*result_tables(findings), costs(findings))]
+    laid = [*_beside_the_published(findings), *result_tables(findings), costs(findings)]
+    tables = [one.markdown().strip() for one in laid]
     behind = "\n".join(f"- {line}" for line in findings.shortfalls) or NOWHERE
     return "\n\n".join([provenance, HOW_TO_READ, *tables, f"### Where `default` is not ahead\n\n{behind}"]) + "\n"
 
@@ -100,6 +108,8 @@ def markdown(findings: Findings) -> str:
 def write_html(path: Path, findings: Findings) -> None:
     """Write one self-contained page with all tables and figures."""
     sections = [Section("", [paragraph(HOW_TO_READ)])]
+    for laid in _beside_the_published(findings):
+        sections.append(Section(laid.title, [paragraph(laid.note), table(laid.rows, laid.header)]))
     for group in findings.groups:
         experiments, found = findings.of(group)
         laid = group_table(findings, group)

@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from magmatch_evaluation.experiments import Experiment
-from magmatch_evaluation.notes import PUBLISHED
+from magmatch_evaluation.experiments import QUICK_PREFIX, Experiment
+from magmatch_evaluation.notes import PRINTED, PRINTED_NOTE, PUBLISHED, SOURCE, Figure
 from magmatch_evaluation.rows import MapRow
 from magmatch_evaluation.saved_table import markdown_table
 from magmatch_evaluation.statistics import Spread, Summaries, Summary
@@ -42,15 +42,47 @@ def error_table(title: str, found: Summaries, floors: Mapping[str, str], note: s
     for (experiment, method), s in found.items():
         cells = [experiment, method, *_error_cells(s)]
         rows.append((*cells, floors.get(experiment, "")) if has_floors else tuple(cells))
-        if (experiment, method) in PUBLISHED:
-            p = PUBLISHED[experiment, method]
-            rows.append((
-                experiment, f"{method}, as published", "", "", "", "", "",
-                f"{1e3 * p.distance:.1f} ± {1e3 * p.distance_sd:.1f}", f"{p.angle_deg:.2f} ± {p.angle_sd_deg:.2f}",
-                "", "", "",
-            ))  # fmt: skip
+        if p := PUBLISHED.get((experiment.removeprefix(QUICK_PREFIX), method)):
+            rows.append((experiment, f"{method}, as published", "", "", "", "", "", *_printed_cells(p), "", "", ""))
     header = (*ERROR_HEADER, "accuracy of the data") if has_floors else ERROR_HEADER
     return TextTable(title, header, tuple(rows), note)
+
+
+def printed_table(found: Summaries) -> TextTable:
+    """Lay out the published table: its figures beside ours, and what differs in the data."""
+    rows = []
+    for printed in PRINTED:
+        theirs = {m: ", ".join(_printed_cells(f)) for m, f in printed.figures.items()}
+        for experiment, differs in printed.differs.items():
+            for name, words in (
+                (experiment, differs),
+                (QUICK_PREFIX + experiment, f"{differs}; quick: fewer samples"),
+            ):
+                ours = {m: _outcome_cell(found[name, m]) for m in ("paper", "sift", "default") if (name, m) in found}
+                if ours:
+                    by_method = (
+                        theirs.get("paper", "-"), ours.get("paper", "-"),
+                        theirs.get("sift", "-"), ours.get("sift", "-"), ours.get("default", "-"),
+                    )  # fmt: skip
+                    rows.append((printed.title, name, *by_method, words))
+    header = (
+        "published experiment", "ours", "Mag-Match, as published", "paper", "SIFT, as published", "sift", "default",
+        "what differs in the data",
+    )  # fmt: skip
+    return TextTable(
+        "The published table, and ours beside it (mm, deg)", header, tuple(rows), f"{SOURCE}. {PRINTED_NOTE}"
+    )
+
+
+def _printed_cells(p: Figure) -> tuple[str, str]:
+    """Errors of distance (mm) and angle (deg), as printed."""
+    return f"{1e3 * p.distance:.1f} ± {1e3 * p.distance_sd:.1f}", f"{p.angle_deg:.2f} ± {p.angle_sd_deg:.2f}"
+
+
+def _outcome_cell(s: Summary) -> str:
+    """Errors and outcomes of all trials."""
+    right, interval, wrong, refused, no_pose, *errors = _error_cells(s)[:7]
+    return f"{', '.join(errors)}; {right} right ({interval}), {wrong} wrong, {refused} refused, {no_pose} no pose"
 
 
 def curve_table(

@@ -6,7 +6,7 @@ pair depends on besides its seed and the folder of recordings (None: the cache).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -59,6 +59,45 @@ class Simulated:
         """Give the pair of a seed."""
         pair = simulate(self.scenario, seed, self.config)
         return Pair(pair.base, pair.target, pair.T_base_target, pair.accept)
+
+
+@dataclass(frozen=True, slots=True)
+class OnePlace:
+    """One place of a named scenario for all seeds: they draw both sensors' noise, or only what methods draw."""
+
+    scenario: str
+    config: SimulationConfig = field(default_factory=SimulationConfig)
+    is_noise_drawn: bool = True
+    place: int = 1000  # seed of the scenario
+
+    def __call__(self, seed: int, recordings: Path | None = None) -> Pair:  # noqa: ARG002
+        """Give the pair of a seed."""
+        if not self.is_noise_drawn:
+            return Simulated(self.scenario, self.config)(self.place)
+        pair = Simulated(self.scenario, self.config.model_copy(update={"noise_sd": 0.0}))(self.place)
+        rng = np.random.default_rng([seed, self.place])
+        base, target = (
+            replace(s, field=s.field + self.config.noise_sd * rng.standard_normal(s.field.shape))
+            for s in (pair.base, pair.target)
+        )
+        return replace(pair, base=base, target=target)
+
+
+@dataclass(frozen=True, slots=True)
+class Turned:
+    """Pairs whose target's axes are turned by a known angle about one of the base's, its origin half a metre away."""
+
+    make: Simulated | OnePlace
+    axis: str
+    angle_deg: float
+
+    def __call__(self, seed: int, recordings: Path | None = None) -> Pair:
+        """Give the pair of a seed."""
+        pair = self.make(seed, recordings)
+        turn = Rotation.from_euler(self.axis, self.angle_deg, degrees=True)
+        T_base_target = RigidTransform.from_components([0.3, -0.4, 0.0], turn)
+        target = pair.target.transformed(T_base_target.inv() * pair.T_base_target)
+        return replace(pair, target=target, T_base_target=T_base_target)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
 from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
-from magmatch.cli.outputs import as_json, check_outputs
+from magmatch.cli.outputs import as_json, check_folder, check_outputs
 from magmatch.cli.prior import with_prior
 from magmatch.cli.registering import with_help, with_wait
 from magmatch.cli.settings import registration_config
@@ -32,6 +32,7 @@ EXAMPLES = (
     "magmatch register base.csv target.csv --field-unit uT --target-length-unit mm",
     "magmatch register monday.bag tuesday.mcap --target-pose-topic /slam/pose",
     "magmatch register room.map target.csv --preset paper --json > result.json",
+    "magmatch register base.csv target.csv --preset paper --figures figures",
     "magmatch register hall.map robot.csv --gravity-aligned --prior-pose 3,1.5,0,0,0,0,1 --prior-pose-sd 2,30",
     "magmatch register floor.map robot.csv --planar",
     "magmatch register base.csv target.csv --min-probability 0.999 --max-sd 0.05,1",
@@ -48,6 +49,9 @@ def register(
     layouts: Layouts,
     out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
     report: Annotated[Path | None, typer.Option(help="Write an HTML report here.")] = None,
+    figures: Annotated[
+        Path | None, typer.Option(help="Write figures into this folder, each as PNG and SVG.", metavar="DIR")
+    ] = None,
     preset: Annotated[
         str,
         typer.Option(
@@ -105,23 +109,33 @@ def register(
     settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd, planar)
     settings = with_limits(settings, min_probability, max_sd)
     check_outputs((out,), inputs=(base, target, config), page=report)
+    if figures is not None:
+        from magmatch.viz.images import require_images
+
+        check_folder(figures)
+        require_images()
     loaded = perf_counter()
     read = read_survey_or_map(target, layouts, "target")
     base_map, mapped, result = _register(base, read, layouts, settings, seed, keep_index)
     result = with_wait(result, loaded)
     if out is not None:
         result.save(out)
-    if report is not None:
+    if report is not None or figures is not None:
         from magmatch.registration.maps import as_map
         from magmatch.viz.pages.registration_page import write_report
 
         # If no map of a folder fits, there is nothing to draw; the report then has text only.
         target_map = None if base_map is None else as_map(mapped, settings.field)
         published = settings.keypoints if settings.search == "keypoints" else None
-        write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed), published)
+        if report is not None:
+            write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed), published)
+        if figures is not None and base_map is not None and target_map is not None:
+            from magmatch.viz.images import registration_figures, write_images
+
+            write_images(figures, registration_figures(base_map, target_map, result, published))
     if json:
         put(as_json(result.to_dict()))
-    say(tell_result(result, out, report))
+    say(tell_result(result, out, report, figures if base_map is not None else None))
     return DONE if result.is_accepted else NOT_ACCEPTED
 
 

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from magmatch.registration.result import RegistrationResult
 
 
-def tell_result(result: "RegistrationResult", out: Path | None = None, report: Path | None = None) -> str:
+def tell_result(
+    result: "RegistrationResult", out: Path | None = None, report: Path | None = None, figures: Path | None = None
+) -> str:
     """Summarise a registration in a few lines."""
     from magmatch.glossary import terms_in
     from magmatch.registration.sensor_calibration import in_words as calibration_words
@@ -34,6 +36,7 @@ def tell_result(result: "RegistrationResult", out: Path | None = None, report: P
         lines += [f"Took {result.seconds.get('total', 0.0):.2f} s ({stages})"]
     lines += [f"Wrote the result to {out}"] if out else []
     lines += [f"Wrote the report to {report}"] if report else []
+    lines += [f"Wrote figures into {figures}"] if figures else []
     return "\n".join(lines)
 
 

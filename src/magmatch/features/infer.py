@@ -109,7 +109,7 @@ def infer(field_map: FieldMap, config: FeatureConfig | None = None) -> Inferred:
     """
     config = config or FeatureConfig()
     spacing = grid_spacing(field_map, config)
-    grid, cells = _cells_in_use(field_map, spacing, config)
+    grid, cells = cells_in_use(field_map, spacing, config)
     positions = _cell_positions(grid, cells)
     is_known = field_map.knows(positions)
     cells, positions = cells[is_known], positions[is_known]
@@ -120,7 +120,7 @@ def infer(field_map: FieldMap, config: FeatureConfig | None = None) -> Inferred:
 def grid_spacing(field_map: FieldMap, config: FeatureConfig) -> float:
     """Distance of the points of X*: as stated, or from the lengthscale and the bound on their number, m."""
     spacing = config.spacing or config.spacing_in_lengthscales * field_map.hyperparameters.lengthscale
-    while (n_points := len(_cells_in_use(field_map, spacing, config)[1])) > config.max_points:
+    while (n_points := len(cells_in_use(field_map, spacing, config)[1])) > config.max_points:
         if config.spacing:
             msg = (
                 f"spacing: {spacing:g} m needs {n_points} inference points in {field_map.survey.name!r}, expected at "
@@ -142,7 +142,7 @@ def _evaluate(field_map: FieldMap, grid: RegularGrid, cells: Indices, positions:
     return FieldValues(values.field[cells], values.gradient[cells], values.second[cells])
 
 
-def _cells_in_use(field_map: FieldMap, spacing: float, config: FeatureConfig) -> tuple[RegularGrid, Indices]:
+def cells_in_use(field_map: FieldMap, spacing: float, config: FeatureConfig) -> tuple[RegularGrid, Indices]:
     """Grid over the samples, and which of its points lie within their hull, or near the path."""
     samples = field_map.survey.positions
     T_map_axes = RigidTransform.from_rotation(grid_axes(field_map, config))

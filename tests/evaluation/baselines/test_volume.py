@@ -7,8 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.data.survey import Survey
+from magmatch.features.config import FeatureConfig
+from magmatch.features.infer import grid_spacing
+from magmatch.field.build import build_map
 from magmatch.grid import RegularGrid
-from magmatch_evaluation.baselines.volume import Volume, cut_layers, level_points
+from magmatch_evaluation.baselines.volume import (
+    Volume,
+    cut_layers,
+    level_points,
+    magnitude_volume,
+    within_measurements,
+)
 
 
 def volume_of(function, T_map_grid=None, shape=(21, 17, 13), spacing=0.1):
@@ -61,3 +71,18 @@ def test_surface_stays_within_what_is_known():
     volume.is_known[:, :9] = False
     assert level_points(volume, 4.0)[:, 1].min() == pytest.approx(0.9)
     assert not len(level_points(volume, 1e3))
+
+
+@pytest.mark.parametrize("shape", [(3.0, 3.0, 1.0), (3.0, 3.0, 0.0)])
+def test_what_lies_off_the_measurements_is_not_known(shape):
+    rng = np.random.default_rng(1)
+    p = rng.uniform(-0.5, 0.5, (300, 3)) * shape
+    field_map = build_map(Survey(p, 1e-5 * np.column_stack([np.sin(2 * p[:, 1]), np.cos(2 * p[:, 0]), 4 + p[:, 2]])))
+    given = magnitude_volume(field_map, 0.1)
+    volume = within_measurements(given, field_map)
+    spacing = grid_spacing(field_map, FeatureConfig())
+    beyond = np.abs(volume.grid.points()) - np.array(shape) / 2
+    known = volume.is_known.ravel()
+    assert known.any()
+    assert beyond[known].max() <= spacing / 2 + 1e-9
+    assert not (volume.is_known & ~given.is_known).any()

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """SIFT on heat maps: layers of |B| as images, matched keypoints as points of space, the transform by MSAC.
 
-The published baseline, of which the paper says no more than that. What it leaves open is settled in its favour: grey
-levels are shared by both surveys, keypoints are matched across all layers, the ratio test looks for the second best
-match elsewhere (neighbouring layers show the same blob), and keypoints count as points of space at the height of
-their layer, so that any rigid transform can come out.
+The published baseline, of which the paper says no more than that. It sees what `paper` sees: the field where X* lies,
+within the measurements. What the paper leaves open is settled in its favour: grey levels are shared by both surveys,
+keypoints are matched across all layers, the ratio test looks for the second best match elsewhere (neighbouring layers
+show the same blob), and keypoints count as points of space at the height of their layer, so that any rigid transform
+can come out.
 """
 
 from typing import Literal
@@ -19,7 +20,14 @@ from magmatch.published.consensus import ConsensusConfig, vector_msac
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Points, Vectors
 from magmatch_evaluation.baselines.judged import judged
-from magmatch_evaluation.baselines.volume import Layer, Volume, cut_layers, magnitude_volume, shared_spacing
+from magmatch_evaluation.baselines.volume import (
+    Layer,
+    Volume,
+    cut_layers,
+    magnitude_volume,
+    shared_spacing,
+    within_measurements,
+)
 
 # Neighbours in descriptor space among which the best match elsewhere is looked for.
 N_NEIGHBOURS = 30
@@ -56,7 +64,7 @@ class SiftConfig(BaseModel):
 def register_by_sift(base_map: FieldMap, target_map: FieldMap, config: SiftConfig, seed: int) -> RegistrationResult:
     """Register two maps by SIFT keypoints of their layers."""
     spacing = shared_spacing(base_map, target_map, config.pixels_per_lengthscale, config.max_points)
-    volumes = [magnitude_volume(m, spacing) for m in (base_map, target_map)]
+    volumes = [within_measurements(magnitude_volume(m, spacing), m) for m in (base_map, target_map)]
     grey = _grey_range(volumes)
     of_base, of_target = _normals(config)
     base_points, base_descriptors = _keypoints(volumes[0], of_base, grey, config)

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The field's magnitude in a box: what a method for images or point clouds gets to see of a map."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.features.config import FeatureConfig
+from magmatch.features.infer import cells_in_use, grid_spacing
 from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
@@ -52,6 +54,15 @@ def magnitude_volume(field_map: FieldMap, spacing: float) -> Volume:
     gridded = field_map.on_grid(grid, order=0, with_variance=False)
     magnitude = np.linalg.norm(gridded.values.field, axis=1).reshape(grid.shape)
     return Volume(grid, magnitude, gridded.is_known.reshape(grid.shape), field_map.survey.positions)
+
+
+def within_measurements(volume: Volume, field_map: FieldMap) -> Volume:
+    """Take as known only what is nearest to a point of the published method's X*, all within the measurements."""
+    config = FeatureConfig()
+    grid, cells = cells_in_use(field_map, grid_spacing(field_map, config), config)
+    nearest, is_inside = grid.nearest(volume.grid.points())
+    is_near = (is_inside & np.isin(nearest, cells)).reshape(volume.grid.shape)
+    return replace(volume, is_known=volume.is_known & is_near)
 
 
 def shared_spacing(base_map: FieldMap, target_map: FieldMap, per_lengthscale: float, max_points: int) -> float:

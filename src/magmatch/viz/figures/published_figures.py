@@ -5,9 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magmatch.features.infer import Inferred
-from magmatch.features.keypoints import curvature_response
-from magmatch.features.local_frames import LocalFrames
+from magmatch.features.infer import Inferred, infer
+from magmatch.features.keypoints import curvature_response, detect
+from magmatch.features.local_frames import LocalFrames, local_frames
+from magmatch.field.map import FieldMap
+from magmatch.published.config import PublishedConfig
+from magmatch.published.recursion import recursively
+from magmatch.published.register import comparable
 from magmatch.registration.result import Links
 from magmatch.typing import Indices, Points
 from magmatch.viz.figures.plotting import (
@@ -43,6 +47,19 @@ MAX_SAMPLES, MAX_ARROWS = 1500, 400
 GAP = 0.25
 # Axes x, y, z of a local frame, as everywhere.
 AXES = ("#D62728", "#2CA02C", "#1F77B4")
+
+
+def published_figures(base: FieldMap, target: FieldMap, links: Links, config: PublishedConfig) -> "dict[str, Figure]":
+    """Keypoints of both maps with their links, and what is behind those of the base, by name."""
+    # Asked again: a result keeps the links alone.
+    base, target = (recursively(m) if config.is_recursive else m for m in (base, target))
+    features = comparable(base, target, config).features
+    first, second = (infer(one, features) for one in (base, target))
+    frames, others = (local_frames(one, detect(one, features), features) for one in (first, second))
+    figures = {"keypoints": linked_keypoints_figure(first, second, frames.rows, others.rows, links)}
+    if len(frames):
+        figures |= {"curvature": curvature_figure(first, frames.rows), "frames": local_frames_figure(first, frames)}
+    return figures
 
 
 def linked_keypoints_figure(

@@ -5,17 +5,12 @@ from pathlib import Path
 
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
-from magmatch.features.infer import infer
-from magmatch.features.keypoints import detect
-from magmatch.features.local_frames import local_frames
 from magmatch.field.map import FieldMap
 from magmatch.published.config import PublishedConfig
-from magmatch.published.recursion import recursively
-from magmatch.published.register import comparable
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
-from magmatch.viz.figures.published_figures import curvature_figure, linked_keypoints_figure, local_frames_figure
+from magmatch.viz.figures.published_figures import published_figures
 from magmatch.viz.figures.registration_figures import (
     match_figure,
     scene_figures,
@@ -66,7 +61,8 @@ def write_report(
         sections.append(Section("In space", [figure_row(scene_figures(base_survey, target_survey, result))]))
         sections += _field(base, target, result)
         if published is not None and isinstance(base, FieldMap) and isinstance(target, FieldMap):
-            sections.append(_published(base, target, result, published))
+            figures = published_figures(base, target, result.links, published).values()
+            sections.append(Section("What the published method sees", [figure_row([figure]) for figure in figures]))
         sections += _agreement(base, target, result)
         sections += certainty(result, target_survey)
         sections += free_directions(result, base_survey, target_survey)
@@ -109,19 +105,6 @@ def _field(base: Survey | FieldMap, target: Survey | FieldMap, result: Registrat
     if matches is not None:
         blocks.append(details("Matching keypoints", figure_row([matches])))
     return [Section("The field of both maps", blocks)]
-
-
-def _published(base: FieldMap, target: FieldMap, result: RegistrationResult, config: PublishedConfig) -> Section:
-    """Keypoints of both maps with their links, and what is behind those of the base."""
-    # Asked again: a result keeps the links alone.
-    base, target = (recursively(m) if config.is_recursive else m for m in (base, target))
-    features = comparable(base, target, config).features
-    first, second = (infer(one, features) for one in (base, target))
-    frames, others = (local_frames(one, detect(one, features), features) for one in (first, second))
-    figures = [linked_keypoints_figure(first, second, frames.rows, others.rows, result.links)]
-    if len(frames):
-        figures += [curvature_figure(first, frames.rows), local_frames_figure(first, frames)]
-    return Section("What the published method sees", [figure_row([figure]) for figure in figures])
 
 
 def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: RegistrationResult) -> list[Section]:
