@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.localization.localize import localize
-from magmatch.localization.smooth import _join, reversed_log
+from magmatch.localization.smooth import join, reversed_log
 from magmatch.localization.stretches import agreement, believed, stretches
 
 NO_BIAS = np.zeros(3)
@@ -48,15 +48,15 @@ def test_a_log_reversed_twice_is_the_log(followed):
 
 
 def test_two_estimates_meet_by_their_weights_and_claim_no_more_than_the_better():
-    met = _join(estimate(0.0, 0.1), estimate(0.3, 0.2))
+    (met,) = join([estimate(0.0, 0.1)], [estimate(0.3, 0.2)])
     # Weights 1 / 0.01 and 1 / 0.04.
     np.testing.assert_allclose(met.T_map_body.translation, [0.06, 0.0, 0.0], atol=1e-9)
     assert met.covariance[3, 3] >= 0.01
 
 
 def test_two_estimates_that_contradict_each_other_state_nothing():
-    assert not _join(estimate(0.0, 0.1), estimate(3.0, 0.1)).is_stated
-    assert not _join(estimate(0.0, 0.1), estimate(0.0, 0.1, "cellar")).is_stated
+    met = join([estimate(0.0, 0.1)] * 2, [estimate(3.0, 0.1), estimate(0.0, 0.1, "cellar")])
+    assert not any(one.is_stated for one in met)
 
 
 LOST, UNCERTAIN = (Estimate(LocalizerStatus.LOST, "", is_place_known=known) for known in (False, True))

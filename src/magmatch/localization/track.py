@@ -16,7 +16,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.tables.tum import write_poses
 from magmatch.data.trajectory import Trajectory
 from magmatch.field.map import FieldMap
-from magmatch.geometry import path_walked
+from magmatch.geometry import path_walked, transform_from_product
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
@@ -68,8 +68,8 @@ class Track:
     @property
     def poses(self) -> RigidTransform:
         """The stated ones, ``T_map_body``, at ``log.times[is_stated]``: fewer than the log's, or none at all."""
-        stated = [e.T_map_body for e in self.estimates if e.T_map_body is not None]
-        return RigidTransform.concatenate(stated) if stated else RigidTransform.from_matrix(np.zeros((0, 4, 4)))
+        stated = [e.matrix for e in self.estimates if e.matrix is not None]
+        return transform_from_product(np.array(stated).reshape(-1, 4, 4))
 
     def save(self, path: str | Path, odometry: Trajectory | None = None) -> None:
         """Write the stated poses as TUM, on the log's clock; where there are none, a file without lines of data.
