@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The belief about a body in one map: hypotheses, the latest bins as their evidence, and which one is trusted."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -34,6 +36,10 @@ BIN_LENGTH = 0.25
 BREAK = 2
 # Log odds under the likeliest at which a hypothesis is forgotten, nats.
 NO_CHANCE = -14.0
+# Variances of the odometry's random walk over those stated, and their prior log odds: the stated deviation may be a
+# guess, whose logarithm has a standard deviation of 1, as in slam. Three nodes of it are told apart by a walk.
+DRIFTS = (1.0, np.exp(-2.0), np.exp(2.0))
+DRIFT_ODDS = np.log(np.array([1.0, np.exp(-0.5), np.exp(-0.5)]) / (1 + 2 * np.exp(-0.5)))
 NOTHING: Posterior[Weighed] = Posterior((), (), 0.0, 1.0)
 
 
@@ -92,7 +98,8 @@ class Belief:
     @property
     def _toll(self) -> Toll:
         """A hypothesis that is trusted may leave the map; others come into it as seldom as a track is lost."""
-        return Toll(self._config.price_outside / self._known.length, int(self.is_sure), self._most_earlier)
+        n_free = len(self._weighed[0].rows) if self.is_sure else 0
+        return Toll(self._config.price_outside / self._known.length, n_free, self._most_earlier)
 
     def is_doubtful(self) -> bool:
         """Whether the trusted hypothesis is contradicted by the latest bins."""
@@ -158,8 +165,8 @@ class Belief:
         self.log_odds = ranked[0][0] if ranked else -np.inf
         # Improbable hypotheses are dropped: a search would find them again.
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
-        rows = [w.row for w in self._weighed]
-        if not rows or rows[0] != 0:
+        rows = [row for w in self._weighed for row in w.rows]
+        if not rows or 0 not in self._weighed[0].rows:
             self.is_sure, self._trail, self._known_at = False, [], np.nan
         if rows != list(range(len(self._bank))):
             self._bank = self._bank[rows]
@@ -178,11 +185,24 @@ class Belief:
             self._known_at = self._walked if is_known else np.nan
         if self.is_sure:
             self._was_sure |= self._stands()
+            self._follow_other_drifts()
             return
         self._trail = []
         self._words = (
             f"the place is known ({self._words}), but the pose is too uncertain: {off}" if off else self._why()
         )
+
+    def _follow_other_drifts(self) -> None:
+        """Follow the trusted pose also under other drifts of the odometry, of which evidence tells in time."""
+        if len(self._weighed[0].rows) > 1:
+            return
+        rows, bank = [0] * len(DRIFTS), self._bank
+        new = bank[rows]
+        new["earlier"] += DRIFT_ODDS
+        new["drift"] = DRIFTS
+        self._bank = np.concatenate([new, bank[1:]])
+        self._window.keep([*rows, *range(1, len(bank))])
+        self._weighed[0] = replace(self._weighed[0], rows=tuple(range(len(rows))))
 
     @property
     def _walked(self) -> float:
@@ -219,7 +239,7 @@ class Belief:
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             self._words if is_in else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
-            self._known.name, float(said["gain"]), is_place_known=True,
+            self._known.name, float(said["gain"]), float(said["drift"]), is_place_known=True,
         )  # fmt: skip
 
     @property

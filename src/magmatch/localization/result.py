@@ -3,9 +3,10 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from typing_extensions import TypedDict
 
 from magmatch.brief import brief
@@ -63,6 +64,9 @@ class OdometryResult(TypedDict):
     """The odometry at the last stated pose."""
 
     scale: Number  # true length of a step over the odometry's
+    sd: Annotated[
+        list[Number], Field(min_length=2, max_length=2)
+    ]  # after a walk of 10 m, as the walk shows it: position (m) and heading (deg)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -70,13 +70,15 @@ def join(forward: Sequence[Estimate], backward: Sequence[Estimate]) -> list[Esti
     """Fuse the estimates of both directions; where they contradict each other, state nothing."""
     both, agree = agreement(forward, backward)
     refuted = Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
-    # The better where not both are stated, and what else is said of it where they are.
-    joined = [
-        refuted
-        if contradicts
-        else max(a, b, key=lambda e: (e.is_stated, e.status is LocalizerStatus.LOCALIZED, e.probability))
-        for a, b, contradicts in zip(forward, backward, both & ~agree, strict=True)
-    ]
+    joined = []
+    for n, (pair, contradicts) in enumerate(zip(zip(forward, backward, strict=True), both & ~agree, strict=True)):
+        # What else is said is that of the direction with more of the path behind it.
+        order = pair if 2 * n >= len(both) else pair[::-1]
+        better = max(
+            order,
+            key=lambda e: (e.is_stated, e.status is LocalizerStatus.LOCALIZED, 0.0 if e.is_stated else e.probability),
+        )
+        joined.append(refuted if contradicts else better)
     rows = np.flatnonzero(agree).tolist()
     (T_map_a, A), (T_map_b, B) = (stacked([each[n] for n in rows]) for each in (forward, backward))
     # Both weigh one half.

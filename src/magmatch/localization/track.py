@@ -133,7 +133,10 @@ class Track:
                 "bias_sd": final.bias_sd.tolist(),
                 "scale": float(final.gain or 1.0),
             },
-            odometry={"scale": float(final.scale or 1.0)},
+            odometry={
+                "scale": float(final.scale or 1.0),
+                "sd": [float(final.drift or 1.0) * sd for sd in self.config.odometry.sd],
+            },
         )
 
     def _segments(self) -> list[Segment]:
