@@ -46,8 +46,8 @@ def localize(
     odometry_sd: Annotated[
         str | None,
         typer.Option(
-            help="Standard deviation of odometry after 10 m: METRES,DEGREES.  [default: 0.15,2; of "
-            "a phone's log without poses 0.5,6]"
+            help="Standard deviation of odometry after 10 m: METRES,DEGREES; learned from there.  [default: 0.15,2; "
+            "of a phone's log without poses 0.5,6]"
         ),
     ] = None,
     min_probability: Annotated[

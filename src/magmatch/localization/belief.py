@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The belief about a body in one map: hypotheses, the latest bins as their evidence, and which one is trusted."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -67,8 +68,8 @@ class Belief:
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf
-        # Path at which the place became known as it is now; NaN where it is not.
-        self._known_at = np.nan
+        # Path in the map since the place became known as it is now; NaN where it is not.
+        self._stood = np.nan
 
     def follow(self, new: Bin) -> None:
         """Update all hypotheses with one bin."""
@@ -97,8 +98,8 @@ class Belief:
 
     @property
     def _toll(self) -> Toll:
-        """A hypothesis that is trusted may leave the map; others come into it as seldom as a track is lost."""
-        n_free = len(self._weighed[0].rows) if self.is_sure else 0
+        """A place that stands may leave the map; others come into it as seldom as a track is lost."""
+        n_free = len(self._weighed[0].rows) if self.is_sure and self._stands() else 0
         return Toll(self._config.price_outside / self._known.length, n_free, self._most_earlier)
 
     def is_doubtful(self) -> bool:
@@ -121,7 +122,7 @@ class Belief:
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
         window.weigh_against(self._null.begin_anew(window.steps[self._since :], window.null))
         self._join(*self._with_another_bias(recent))
-        self.is_sure, self.searched_at, self._trail, self._known_at = False, -np.inf, [], np.nan
+        self.is_sure, self.searched_at, self._trail, self._stood = False, -np.inf, [], np.nan
 
     def _with_another_bias(self, recent: int) -> tuple[np.ndarray, np.ndarray]:
         """The trusted hypothesis with a jump of the sensor's bias at the most likely of the latest bins."""
@@ -167,7 +168,7 @@ class Belief:
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
         rows = [row for w in self._weighed for row in w.rows]
         if not rows or 0 not in self._weighed[0].rows:
-            self.is_sure, self._trail, self._known_at = False, [], np.nan
+            self.is_sure, self._trail, self._stood = False, [], np.nan
         if rows != list(range(len(self._bank))):
             self._bank = self._bank[rows]
             self._window.keep(rows)
@@ -181,8 +182,10 @@ class Belief:
         is_known = self._is_place_known()
         off = self._too_uncertain() if is_known else ""
         self.is_sure = is_known and not off
-        if not is_known or np.isnan(self._known_at):
-            self._known_at = self._walked if is_known else np.nan
+        if not is_known or np.isnan(self._stood):
+            self._stood = 0.0 if is_known else np.nan
+        elif self._window.fit[-1, 0]["is_known"]:
+            self._stood += math.hypot(*self._window.steps[-1]["u"])
         if self.is_sure:
             self._was_sure |= self._stands()
             self._follow_other_drifts()
@@ -204,13 +207,12 @@ class Belief:
         self._window.keep([*rows, *range(1, len(bank))])
         self._weighed[0] = replace(self._weighed[0], rows=tuple(range(len(rows))))
 
-    @property
-    def _walked(self) -> float:
-        return float(self._window.steps[-1]["walked"])
-
     def _stands(self) -> bool:
-        """Whether the place has been known for long enough to be stated: a first fix is the best of many starts."""
-        return self._walked - self._known_at >= self._config.stands * self._known.length
+        """Whether the place has been known for long enough to be stated: a first fix is the best of many starts.
+
+        Path outside the map puts it to no test.
+        """
+        return self._stood >= self._config.stands * self._known.length
 
     def _is_place_known(self) -> bool:
         return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
@@ -225,9 +227,9 @@ class Belief:
         words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
         return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
 
-    def estimate(self, T: Matrix) -> Estimate:
-        """The present estimate, at a pose in the odometry's frame, (4, 4)."""
-        stands = self._stands() if self._is_place_known() else False
+    def estimate(self, T: Matrix, *, at_once: bool) -> Estimate:
+        """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
+        stands = (at_once or self._stands()) if self._is_place_known() else False
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words

@@ -28,9 +28,17 @@ log = logging.getLogger(__name__)
 
 
 def follow_log(
-    place: Place, walk: Survey, config: LocalizerConfig | None = None, known: KnownPlaces | None = None
+    place: Place,
+    walk: Survey,
+    config: LocalizerConfig | None = None,
+    known: KnownPlaces | None = None,
+    *,
+    at_once: bool = False,
 ) -> Track:
-    """Localise a log as if live; see `localize`. ``known``: the place, where it was made ready before."""
+    """Localise a log as if live; see `localize`, and `Localizer.estimate`.
+
+    ``known``: the place, where it was made ready before.
+    """
     config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     require_survey(walk, name="log")
@@ -55,7 +63,7 @@ def follow_log(
                     localizer.update(float(t), poses[n], field[n])
                 except OdometryJump as jump:
                     log.warning("%s: sample %d: %s", walk.name, n, jump)
-                estimates.append(localizer.estimate())
+                estimates.append(localizer.estimate(at_once=at_once))
     return Track(walk, _maps(place, estimates), estimates, config, clock.seconds())
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_from_product
-from magmatch.localization.estimate import Estimate
+from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.typing import Mask, Scalars
 
 # Squared distance (chi^2 of six, one in 10,000) from which on two estimates contradict each other.
@@ -71,22 +71,23 @@ def offsets(T_map_a: RigidTransform, T_map_b: RigidTransform) -> np.ndarray:
     return xi
 
 
-def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, walked: Scalars, tested: float) -> Mask:
-    """Rows whose poses stand, (n,), of estimates in the direction of travel.
+def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, steps: Scalars, tested: float) -> Mask:
+    """Rows whose poses stand, (n,), of estimates in the direction of travel; ``steps``: path from the row before (m).
 
     Where both directions state poses and mostly disagree, one of the stretches is wrong, and nothing says which. One
     that ended within the path ``tested`` (m) counts up to where the other direction agrees; so does one that ended in
-    a contradiction, or up to that path before its end if it had stood before that.
+    a contradiction, or up to that path before its end if it had stood before that. Only path in the map counts.
     """
+    walked = np.cumsum(np.where([e.status is LocalizerStatus.DEAD_RECKONING for e in estimates], 0.0, steps))
     stands = np.zeros(len(estimates), dtype=np.bool_)
     for one in stretches(estimates):
         met, agreed = both[one.rows], agree[one.rows]
         if one.is_contradicted:
             # The contradiction began within the path by which a place is doubted; what stood before that still does.
-            back = np.abs(walked[one.last] - walked[one.rows])
+            back = walked[one.last] - walked[one.rows]
             if back[0] >= 2 * tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
                 stands[one.rows] = back >= tested
-        is_tested = abs(walked[one.last] - walked[one.first]) >= tested and not one.is_contradicted
+        is_tested = walked[one.last] - walked[one.first] >= tested and not one.is_contradicted
         if agreed.any() and not is_tested:
             stands[one.first : one.first + int(np.flatnonzero(agreed)[-1]) + 1] = True
         elif is_tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):

@@ -20,9 +20,9 @@ from magmatch.localization.belief import BIN_LENGTH
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.localization.follow_log import follow_log
+from magmatch.localization.hindsight.stretches import agreement, believed, offsets, stacked
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
-from magmatch.localization.stretches import agreement, believed, offsets, stacked
 from magmatch.localization.track import Track
 from magmatch.typing import Mask
 
@@ -34,18 +34,18 @@ def smooth(place: Place, walk: Survey, config: LocalizerConfig | None = None) ->
     config, known = config or LocalizerConfig(), KnownPlaces(place)
     expect_kind(config, "config", (LocalizerConfig,))
     # Whether a fix stands is seen from the whole log.
-    at_once = config.model_copy(update={"stands": 0.0})
-    there, back = (follow_log(place, log, at_once, known) for log in (walk, reversed_log(walk)))
+    there, back = (follow_log(place, log, config, known, at_once=True) for log in (walk, reversed_log(walk)))
     forward, backward = list(there.estimates), list(reversed(back.estimates))
     both, agree = agreement(forward, backward)
     length = LikelyMaps(known, config).bin_length / BIN_LENGTH
-    walked, tested = path_walked(walk.positions), config.stands * length
-    stands = believed(forward, both, agree, walked, tested)
-    stands_back = believed(backward[::-1], both[::-1], agree[::-1], walked[::-1], tested)[::-1]
+    steps, tested = np.diff(path_walked(walk.positions), prepend=0.0), config.stands * length
+    stands = believed(forward, both, agree, steps, tested)
+    # A step back ends where that step began.
+    steps_back = np.concatenate([[0.0], steps[:0:-1]])
+    stands_back = believed(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
     joined = join(_only(forward, stands), _only(backward, stands_back))
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
-    stated = there.config.model_copy(update={"stands": config.stands})
-    return replace(there, estimates=joined, config=stated, seconds=seconds)
+    return replace(there, estimates=joined, seconds=seconds)
 
 
 def _only(estimates: Sequence[Estimate], stands: Mask) -> list[Estimate]:
