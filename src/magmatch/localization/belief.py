@@ -53,12 +53,14 @@ class Belief:
         Whether its first hypothesis is trusted: probable enough, and known well enough.
     log_odds : float, nats
         Of the most likely hypothesis over the null model that the body is not in the map.
+    total_odds : float, nats
+        Of all of them together, that the body is in this map.
     searched_at : float, m
         Path at the last search.
     """
 
     def __init__(self, known: KnownMap, config: LocalizerConfig) -> None:
-        self.is_sure, self.log_odds = False, -np.inf
+        self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = NullModel(known, self._model, config)
@@ -70,6 +72,11 @@ class Belief:
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf
         # Path in the map since the place became known as it is now; NaN where it is not.
         self._stood = np.nan
+
+    @property
+    def name(self) -> str:
+        """Name of the map."""
+        return self._known.name
 
     def follow(self, new: Bin) -> None:
         """Update all hypotheses with one bin."""
@@ -158,12 +165,13 @@ class Belief:
         self._join(*search(self._known, self._model, steps, self._config))
 
     def weigh(self) -> float:
-        """Weigh all hypotheses and keep distinct ones, most likely first; returns the first one's log odds, nats."""
+        """Weigh all hypotheses and keep distinct ones, most likely first; returns the log odds of all, nats."""
         same = self._config.same(self._known.length)
         weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
         odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
+        self.total_odds = float(np.logaddexp.reduce(odds, initial=-np.inf))
         # Improbable hypotheses are dropped: a search would find them again.
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
         rows = [row for w in self._weighed for row in w.rows]
@@ -172,7 +180,7 @@ class Belief:
         if rows != list(range(len(self._bank))):
             self._bank = self._bank[rows]
             self._window.keep(rows)
-        return self.log_odds
+        return self.total_odds
 
     def judge(self, elsewhere: float) -> None:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""

@@ -91,6 +91,10 @@ class Localizer:
             return Estimate(LocalizerStatus.SEARCHING, self._maps.why_none)
         return best.estimate(self._samples.T_odom_body, at_once=at_once)
 
+    def map_probabilities(self) -> dict[str, float]:
+        """Give the probability of each likely map, by name; what is left to 1 is that the body is in none of them."""
+        return self._maps.probabilities()
+
     def hypotheses(self) -> list[Hypothesis]:
         """List the competing hypotheses as of the last bin of the path, most likely first."""
         found = [one for belief in self._maps.likely.values() for one in belief.hypotheses()]

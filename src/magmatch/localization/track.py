@@ -2,7 +2,7 @@
 """A log as it was followed: what was known at each of its poses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -42,6 +42,9 @@ class Track:
     config : LocalizerConfig
     seconds : dict
         Per stage and total.
+    places : dict
+        Of an atlas: name of a map to the probability that the body is in it, as of the last stated pose, or of the
+        end. What is left to 1 is that it is in none.
     """
 
     log: Survey
@@ -49,6 +52,7 @@ class Track:
     estimates: Sequence[Estimate]
     config: LocalizerConfig
     seconds: dict[str, float]
+    places: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         n = int(self.is_stated.sum())
@@ -113,6 +117,7 @@ class Track:
             LocalizationStatus.NEVER, reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
             seconds=dict(self.seconds), config=self.config.model_dump(mode="json"), version=__version__,
             inputs=tuple(describe_input(s) for s in (*(m.survey for m in self.maps), self.log)),
+            maps=dict(self.places),
         )  # fmt: skip
         if not is_stated.any():
             return found

@@ -45,7 +45,8 @@ def smooth(place: Place, walk: Survey, config: LocalizerConfig | None = None) ->
     stands_back = believed(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
     joined = join(_only(forward, stands), _only(backward, stands_back))
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
-    return replace(there, estimates=joined, seconds=seconds)
+    places = back.places if back.is_stated.any() and not there.is_stated.any() else there.places
+    return replace(there, estimates=joined, seconds=seconds, places=places)
 
 
 def _only(estimates: Sequence[Estimate], stands: Mask) -> list[Estimate]:
