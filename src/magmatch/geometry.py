@@ -150,8 +150,12 @@ def transform_of(R: Matrix, p: Vector3) -> RigidTransform:
 
 
 def transform_from_product(matrix: Matrix) -> RigidTransform:
-    """Rigid motion whose matrix is a product of such matrices: brought to the nearest once rounding has added up."""
-    error = np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max()
+    """Rigid motion whose matrix is a product of such matrices: brought to the nearest once rounding has added up.
+
+    Of many, (n, 4, 4), all are.
+    """
+    R = matrix[..., :3, :3]
+    error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
     return RigidTransform(matrix, normalize=bool(error > ORTHONORMAL_TO_ROUNDING))
 
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk
+from magmatch.cli.localize import tell
 from magmatch.errors import DataFormatError
 from magmatch.localization.belief import Belief
 from magmatch.localization.kept_state import KINDS, SCHEMA, restored, state_of
@@ -35,6 +36,9 @@ def test_the_right_map_of_a_folder_is_named_and_the_pose_is_in_it(folder):
     result = track.result()
     assert result.map == "cellar.map"
     assert {s.map for s in result.segments} <= {None, "cellar.map"}
+    assert result.maps["cellar.map"] > 0.99
+    assert result.maps_in_words.startswith("cellar.map ")
+    assert result.maps_in_words.endswith(", none of the maps 0.00")
     assert result.share > 0.7
     error = np.linalg.norm(track.poses.translation - truth[track.is_stated], axis=1)
     assert np.median(error) < 0.1
@@ -44,6 +48,16 @@ def test_a_walk_of_no_map_in_the_folder_is_nowhere(folder):
     log, _ = drifting_walk(Place(77), 52, laps=1.2)
     track = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True))
     assert not track.is_stated.any()
+    assert sum(track.result().maps.values()) < 0.5
+    assert "none of the maps" in tell(track.result())
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_likelier_map_is_named_before_one_less_likely_and_probabilities_sum_to_less_than_one(folder, live):
+    log, _ = drifting_walk(Place(41), 53, laps=0.4, start=2.0)
+    maps = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True), live=live).result().maps
+    assert list(maps.values()) == sorted(maps.values(), reverse=True)
+    assert 0 < sum(maps.values()) <= 1 + 1e-12
 
 
 class Aside:

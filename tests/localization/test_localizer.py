@@ -42,6 +42,15 @@ def test_the_sensors_bias_and_the_odometrys_scale_are_found(followed):
     assert result.odometry["scale"] == pytest.approx(1 / 1.01, abs=0.01)
 
 
+@pytest.mark.parametrize(("turn", "seed"), [(0.2, 2), (4.0, 2)])
+def test_how_the_odometry_drifts_is_learned_from_the_path(place, turn, seed):
+    """It is stated to turn by 2 degrees in 10 m: by 0.6 in one."""
+    log, _ = drifting_walk(Place(1), seed, laps=1.5, turn=turn)
+    sd = mm.localize(place, log).result().odometry["sd"]
+    assert (sd[1] > 4) if turn > 1 else (sd[1] <= 2)
+    assert sd[0] / sd[1] == pytest.approx(0.15 / 2)
+
+
 def test_the_gain_of_the_sensor_is_found_too(place, followed):
     louder = mm.Survey(
         followed.log.positions, 1.015 * followed.log.field, followed.log.times, followed.log.orientations

@@ -34,7 +34,7 @@ def uniform(known):
 def test_a_path_is_as_likely_as_under_the_noise_that_was_learned(uniform, is_smooth):
     uniform = replace(uniform, noise=replace(uniform.noise, is_smooth=is_smooth))
     rng, n, spacing = np.random.default_rng(0), 24, 0.25 * uniform.length
-    model = model_of(uniform, mm.LocalizerConfig())._replace(place_walk=0.0, height_walk=0.0, bias_drift=0.0)
+    model = model_of(uniform, mm.LocalizerConfig())._replace(place_walk=0.0, bent_walk=0.0, bias_drift=0.0)
     model = model._replace(turn_walk=0.0, tilt_walk=0.0, gate=np.inf)
     steps, noise = straight(n, spacing), uniform.noise
     d = spacing * np.abs(np.arange(n)[:, None] - np.arange(n))

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """With hindsight more poses are stated, and none is worse."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.hindsight.smooth import join, reversed_log
+from magmatch.localization.hindsight.stretches import agreement, believed, stretches
 from magmatch.localization.localize import localize
-from magmatch.localization.smooth import _join, reversed_log
-from magmatch.localization.stretches import agreement, believed, stretches
 
 NO_BIAS = np.zeros(3)
 
@@ -48,24 +50,24 @@ def test_a_log_reversed_twice_is_the_log(followed):
 
 
 def test_two_estimates_meet_by_their_weights_and_claim_no_more_than_the_better():
-    met = _join(estimate(0.0, 0.1), estimate(0.3, 0.2))
+    (met,) = join([estimate(0.0, 0.1)], [estimate(0.3, 0.2)])
     # Weights 1 / 0.01 and 1 / 0.04.
     np.testing.assert_allclose(met.T_map_body.translation, [0.06, 0.0, 0.0], atol=1e-9)
     assert met.covariance[3, 3] >= 0.01
 
 
 def test_two_estimates_that_contradict_each_other_state_nothing():
-    assert not _join(estimate(0.0, 0.1), estimate(3.0, 0.1)).is_stated
-    assert not _join(estimate(0.0, 0.1), estimate(0.0, 0.1, "cellar")).is_stated
+    met = join([estimate(0.0, 0.1)] * 2, [estimate(3.0, 0.1), estimate(0.0, 0.1, "cellar")])
+    assert not any(one.is_stated for one in met)
 
 
 LOST, UNCERTAIN = (Estimate(LocalizerStatus.LOST, "", is_place_known=known) for known in (False, True))
-WALKED = np.arange(10.0)
+STEPS = np.ones(10)
 
 
 def standing(forward, backward, tested=3.0):
     """Rows of the forward direction that stand; one sample each metre."""
-    return believed(forward, *agreement(forward, backward), WALKED, tested).nonzero()[0].tolist()
+    return believed(forward, *agreement(forward, backward), STEPS, tested).nonzero()[0].tolist()
 
 
 def at(*rows, x=0.0, otherwise=LOST):
@@ -91,6 +93,15 @@ def test_a_fix_at_the_very_end_has_not_been_put_to_the_test():
     assert standing(at(8, 9), at()) == []
     assert standing(at(8, 9), at(8, 9)) == [8, 9]
     assert standing(at(5, 6, 7, 8, 9), at()) == [5, 6, 7, 8, 9]
+
+
+def test_path_outside_the_map_puts_a_fix_to_no_test():
+    outside = [
+        replace(e, status=LocalizerStatus.DEAD_RECKONING) if n > 2 else e for n, e in enumerate(at(*range(10)))
+    ]
+    assert standing(outside, at()) == []
+    assert standing(outside, at(1)) == [0, 1]
+    assert standing(at(*range(10)), at()) == list(range(10))
 
 
 def test_of_two_stretches_that_disagree_neither_stands():

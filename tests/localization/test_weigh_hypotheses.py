@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 import magmatch as mm
 from magmatch.localization.measurement import FIT, STEP, follow
 from magmatch.localization.state import hypotheses, model_of
-from magmatch.localization.weigh_hypotheses import Toll, covariance_of, evidence, forget
+from magmatch.localization.weigh_hypotheses import Toll, covariance_of, evidence, forget, weigh
 
 N, FREE = 24, Toll(0.0, 0)
 
@@ -116,6 +116,30 @@ def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
     forget(steps, fit, null, known, Toll(0.0, 1, 4.0), bank)
     assert bank["earlier"][0] > 20
     assert bank["earlier"][1] == pytest.approx(4.0)
+
+
+def test_a_pose_under_several_drifts_is_one_answer_with_the_evidence_of_all(known):
+    steps, fit, null = (
+        np.zeros(N, STEP),
+        fits(np.random.default_rng(8), 4, 3.0),
+        fits(np.random.default_rng(9), 3, 4.0),
+    )
+    bank = hypotheses(4)
+    bank["drift"], bank["p"][3] = [1.0, 7.0, 7.0, 1.0], 5.0
+    gained = evidence(steps, fit, null, known, FREE)[0]
+    (one, other) = sorted(weigh(bank, steps, fit, null, known, FREE, (0.1, 0.1)), key=lambda w: -len(w.rows))
+    kept = [0, 1 + int(gained[2] > gained[1])]
+    assert sorted(one.rows) == kept
+    assert one.log_evidence == pytest.approx(np.logaddexp.reduce(gained[kept]))
+    assert other.rows == (3,)
+
+
+def test_of_several_drifts_the_likeliest_is_capped_and_the_others_stay_behind(known):
+    steps, null, bank = np.zeros(N, STEP), fits(np.random.default_rng(10), 3, 4.0), hypotheses(3)
+    fit = np.repeat(fits(np.random.default_rng(11), 1, 3.0), 3, axis=1)
+    bank["earlier"] = [7.0, 9.0, 1.0]
+    forget(steps, fit, null, known, Toll(0.0, 3, 4.0), bank)
+    np.testing.assert_allclose(bank["earlier"] - bank["earlier"][1], [-2.0, 0.0, -4.0], atol=1e-9)
 
 
 def test_evidence_counts_by_the_share_of_the_fields_variance_that_a_map_explains(known):

@@ -46,8 +46,8 @@ def localize(
     odometry_sd: Annotated[
         str | None,
         typer.Option(
-            help="Standard deviation of odometry after 10 m: METRES,DEGREES.  [default: 0.15,2; of "
-            "a phone's log without poses 0.5,6]"
+            help="Standard deviation of odometry after 10 m: METRES,DEGREES; learned from there.  [default: 0.15,2; "
+            "of a phone's log without poses 0.5,6]"
         ),
     ] = None,
     min_probability: Annotated[
@@ -102,12 +102,13 @@ def localize(
 def tell(result: "LocalizationResult") -> str:
     """Summarise a result in a line or two."""
     level = "Taken as planar: every pose lies at one height\n" if result.is_planar else ""
+    which = f"\n  {result.maps_in_words}" if result.maps else ""
     if result.first_fix is None or result.sensor is None:
-        return f"{level}Never localized: {result.reason}"
+        return f"{level}Never localized: {result.reason}{which}"
     where = f" in {result.map}" if result.map else ""
     ended = "Pose too uncertain at the end" if result.is_place_known else result.status.capitalize()
     bias = ", ".join(f"{1e6 * b:z.1f}" for b in result.sensor["bias"])
     return (
         f"{level}{ended}{where}: {result.reason}\n"
-        f"  first after {result.first_fix[1]:.1f} m; {result.share_in_words}; bias {bias} uT"
+        f"  first after {result.first_fix[1]:.1f} m; {result.share_in_words}; bias {bias} uT{which}"
     )

@@ -40,11 +40,11 @@ class OpenedWalk:
 
     def survey(self) -> "Survey":
         """The log with poses."""
+        if self.given is not None:
+            return self.given
         from magmatch.data.read import read_phone_on
         from magmatch.preparation.odometry.dead_reckon import dead_reckon
 
-        if self.given is not None:
-            return self.given
         assert self.phone is not None
         walk = dead_reckon(self.phone)
         say(f"Dead reckoning of {self.path.name}: {len(walk.steps)} steps, {walk.length:.1f} m")

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The belief about a body in one map: hypotheses, the latest bins as their evidence, and which one is trusted."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -34,6 +37,10 @@ BIN_LENGTH = 0.25
 BREAK = 2
 # Log odds under the likeliest at which a hypothesis is forgotten, nats.
 NO_CHANCE = -14.0
+# Variances of the odometry's random walk over those stated, and their prior log odds: the stated deviation may be a
+# guess, whose logarithm has a standard deviation of 1, as in slam. Three nodes of it are told apart by a walk.
+DRIFTS = (1.0, np.exp(-2.0), np.exp(2.0))
+DRIFT_ODDS = np.log(np.array([1.0, np.exp(-0.5), np.exp(-0.5)]) / (1 + 2 * np.exp(-0.5)))
 NOTHING: Posterior[Weighed] = Posterior((), (), 0.0, 1.0)
 
 
@@ -46,12 +53,14 @@ class Belief:
         Whether its first hypothesis is trusted: probable enough, and known well enough.
     log_odds : float, nats
         Of the most likely hypothesis over the null model that the body is not in the map.
+    total_odds : float, nats
+        Of all of them together, that the body is in this map.
     searched_at : float, m
         Path at the last search.
     """
 
     def __init__(self, known: KnownMap, config: LocalizerConfig) -> None:
-        self.is_sure, self.log_odds = False, -np.inf
+        self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = NullModel(known, self._model, config)
@@ -61,8 +70,13 @@ class Belief:
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf
-        # Path at which the place became known as it is now; NaN where it is not.
-        self._known_at = np.nan
+        # Path in the map since the place became known as it is now; NaN where it is not.
+        self._stood = np.nan
+
+    @property
+    def name(self) -> str:
+        """Name of the map."""
+        return self._known.name
 
     def follow(self, new: Bin) -> None:
         """Update all hypotheses with one bin."""
@@ -91,8 +105,9 @@ class Belief:
 
     @property
     def _toll(self) -> Toll:
-        """A hypothesis that is trusted may leave the map; others come into it as seldom as a track is lost."""
-        return Toll(self._config.price_outside / self._known.length, int(self.is_sure), self._most_earlier)
+        """A place that stands may leave the map; others come into it as seldom as a track is lost."""
+        n_free = len(self._weighed[0].rows) if self.is_sure and self._stands() else 0
+        return Toll(self._config.price_outside / self._known.length, n_free, self._most_earlier)
 
     def is_doubtful(self) -> bool:
         """Whether the trusted hypothesis is contradicted by the latest bins."""
@@ -114,7 +129,7 @@ class Belief:
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
         window.weigh_against(self._null.begin_anew(window.steps[self._since :], window.null))
         self._join(*self._with_another_bias(recent))
-        self.is_sure, self.searched_at, self._trail, self._known_at = False, -np.inf, [], np.nan
+        self.is_sure, self.searched_at, self._trail, self._stood = False, -np.inf, [], np.nan
 
     def _with_another_bias(self, recent: int) -> tuple[np.ndarray, np.ndarray]:
         """The trusted hypothesis with a jump of the sensor's bias at the most likely of the latest bins."""
@@ -150,21 +165,22 @@ class Belief:
         self._join(*search(self._known, self._model, steps, self._config))
 
     def weigh(self) -> float:
-        """Weigh all hypotheses and keep distinct ones, most likely first; returns the first one's log odds, nats."""
+        """Weigh all hypotheses and keep distinct ones, most likely first; returns the log odds of all, nats."""
         same = self._config.same(self._known.length)
         weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
         odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
+        self.total_odds = float(np.logaddexp.reduce(odds, initial=-np.inf))
         # Improbable hypotheses are dropped: a search would find them again.
         self._weighed = [w for odds, w in ranked if odds > self.log_odds + NO_CHANCE][: self._config.n_hypotheses]
-        rows = [w.row for w in self._weighed]
-        if not rows or rows[0] != 0:
-            self.is_sure, self._trail, self._known_at = False, [], np.nan
+        rows = [row for w in self._weighed for row in w.rows]
+        if not rows or 0 not in self._weighed[0].rows:
+            self.is_sure, self._trail, self._stood = False, [], np.nan
         if rows != list(range(len(self._bank))):
             self._bank = self._bank[rows]
             self._window.keep(rows)
-        return self.log_odds
+        return self.total_odds
 
     def judge(self, elsewhere: float) -> None:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
@@ -174,23 +190,37 @@ class Belief:
         is_known = self._is_place_known()
         off = self._too_uncertain() if is_known else ""
         self.is_sure = is_known and not off
-        if not is_known or np.isnan(self._known_at):
-            self._known_at = self._walked if is_known else np.nan
+        if not is_known or np.isnan(self._stood):
+            self._stood = 0.0 if is_known else np.nan
+        elif self._window.fit[-1, 0]["is_known"]:
+            self._stood += math.hypot(*self._window.steps[-1]["u"])
         if self.is_sure:
             self._was_sure |= self._stands()
+            self._follow_other_drifts()
             return
         self._trail = []
         self._words = (
             f"the place is known ({self._words}), but the pose is too uncertain: {off}" if off else self._why()
         )
 
-    @property
-    def _walked(self) -> float:
-        return float(self._window.steps[-1]["walked"])
+    def _follow_other_drifts(self) -> None:
+        """Follow the trusted pose also under other drifts of the odometry, of which evidence tells in time."""
+        if len(self._weighed[0].rows) > 1:
+            return
+        rows, bank = [0] * len(DRIFTS), self._bank
+        new = bank[rows]
+        new["earlier"] += DRIFT_ODDS
+        new["drift"] = DRIFTS
+        self._bank = np.concatenate([new, bank[1:]])
+        self._window.keep([*rows, *range(1, len(bank))])
+        self._weighed[0] = replace(self._weighed[0], rows=tuple(range(len(rows))))
 
     def _stands(self) -> bool:
-        """Whether the place has been known for long enough to be stated: a first fix is the best of many starts."""
-        return self._walked - self._known_at >= self._config.stands * self._known.length
+        """Whether the place has been known for long enough to be stated: a first fix is the best of many starts.
+
+        Path outside the map puts it to no test.
+        """
+        return self._stood >= self._config.stands * self._known.length
 
     def _is_place_known(self) -> bool:
         return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
@@ -205,9 +235,9 @@ class Belief:
         words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
         return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
 
-    def estimate(self, T: Matrix) -> Estimate:
-        """The present estimate, at a pose in the odometry's frame, (4, 4)."""
-        stands = self._stands() if self._is_place_known() else False
+    def estimate(self, T: Matrix, *, at_once: bool) -> Estimate:
+        """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
+        stands = (at_once or self._stands()) if self._is_place_known() else False
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
@@ -219,7 +249,7 @@ class Belief:
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             self._words if is_in else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
-            self._known.name, float(said["gain"]), is_place_known=True,
+            self._known.name, float(said["gain"]), float(said["drift"]), is_place_known=True,
         )  # fmt: skip
 
     @property

@@ -59,6 +59,8 @@ class Estimate:
         Name of the map.
     gain : float or None
         Ratio of the sensor's readings to those of the map's sensor.
+    drift : float or None
+        Standard deviation of the odometry's drift over the stated one, as the path so far shows it.
     is_place_known : bool
         Whether that probability is high enough, and has been for long enough; no pose is stated all the same where
         its covariance is too large.
@@ -74,6 +76,7 @@ class Estimate:
     scale: float | None = None
     map: str | None = None
     gain: float | None = None
+    drift: float | None = None
     is_place_known: bool = False
 
     __repr__ = brief

@@ -28,9 +28,17 @@ log = logging.getLogger(__name__)
 
 
 def follow_log(
-    place: Place, walk: Survey, config: LocalizerConfig | None = None, known: KnownPlaces | None = None
+    place: Place,
+    walk: Survey,
+    config: LocalizerConfig | None = None,
+    known: KnownPlaces | None = None,
+    *,
+    at_once: bool = False,
 ) -> Track:
-    """Localise a log as if live; see `localize`. ``known``: the place, where it was made ready before."""
+    """Localise a log as if live; see `localize`, and `Localizer.estimate`.
+
+    ``known``: the place, where it was made ready before.
+    """
     config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     require_survey(walk, name="log")
@@ -46,7 +54,7 @@ def follow_log(
     with one_blas_thread():
         with clock("map"):
             localizer = Localizer(known or place, config)
-        estimates = []
+        estimates, places, was_stated = [], {}, False
         with clock("follow"):
             for n, t in enumerate(walk.times):
                 if n % 1000 == 0:
@@ -55,8 +63,12 @@ def follow_log(
                     localizer.update(float(t), poses[n], field[n])
                 except OdometryJump as jump:
                     log.warning("%s: sample %d: %s", walk.name, n, jump)
-                estimates.append(localizer.estimate())
-    return Track(walk, _maps(place, estimates), estimates, config, clock.seconds())
+                estimates.append(localizer.estimate(at_once=at_once))
+                # Which map: as of the last stated pose, or of the end where none is.
+                is_end, was_stated = n == len(walk) - 1 and not was_stated, was_stated or estimates[-1].is_stated
+                if isinstance(place, Atlas) and (estimates[-1].is_stated or is_end):
+                    places = localizer.map_probabilities()
+    return Track(walk, _maps(place, estimates), estimates, config, clock.seconds(), places)
 
 
 def _is_level(place: Place, walk: Survey) -> bool:

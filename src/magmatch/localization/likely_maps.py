@@ -81,7 +81,16 @@ class LikelyMaps:
         """Weigh all hypotheses of all maps against each other."""
         odds = {key: belief.weigh() for key, belief in self.likely.items()}
         for key, belief in self.likely.items():
-            belief.judge(max((o for other, o in odds.items() if other is not key), default=-np.inf))
+            belief.judge(
+                float(np.logaddexp.reduce([o for other, o in odds.items() if other is not key], initial=-np.inf))
+            )
+
+    def probabilities(self) -> dict[str, float]:
+        """That the body is in each of the likely maps, most likely first; what is left is that it is in none."""
+        ranked = sorted(self.likely.values(), key=lambda belief: -belief.total_odds)
+        terms = np.array([*(belief.total_odds for belief in ranked), -np.log(self._config.decision.prior_odds)])
+        shares = np.exp(terms - np.logaddexp.reduce(terms)).tolist()
+        return {belief.name: share for belief, share in zip(ranked, shares, strict=False)}
 
     def _vote(self, atlas: Atlas) -> None:
         """Vote for maps from time to time; beliefs in maps that are no longer likely are dropped."""

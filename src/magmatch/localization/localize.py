@@ -6,9 +6,9 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.follow_log import follow_log
+from magmatch.localization.hindsight.smooth import smooth
 from magmatch.localization.known_places import Place
 from magmatch.localization.localizer import ADVICE
-from magmatch.localization.smooth import smooth
 from magmatch.localization.track import Track
 from magmatch.progress import Progress, followed
 from magmatch.registration.index.atlas import Atlas

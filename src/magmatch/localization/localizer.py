@@ -81,12 +81,19 @@ class Localizer:
                 belief.search()
         self._maps.judge()
 
-    def estimate(self) -> Estimate:
-        """Give the present estimate; its ``T_map_body`` is None unless the pose is stated."""
+    def estimate(self, *, at_once: bool = False) -> Estimate:
+        """Give the present estimate; its ``T_map_body`` is None unless the pose is stated.
+
+        ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands.
+        """
         best = self._maps.best
         if best is None:
             return Estimate(LocalizerStatus.SEARCHING, self._maps.why_none)
-        return best.estimate(self._samples.T_odom_body)
+        return best.estimate(self._samples.T_odom_body, at_once=at_once)
+
+    def map_probabilities(self) -> dict[str, float]:
+        """Give the probability of each likely map, by name; what is left to 1 is that the body is in none of them."""
+        return self._maps.probabilities()
 
     def hypotheses(self) -> list[Hypothesis]:
         """List the competing hypotheses as of the last bin of the path, most likely first."""

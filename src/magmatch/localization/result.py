@@ -3,15 +3,20 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 from typing_extensions import TypedDict
 
 from magmatch.brief import brief
 from magmatch.data.document import TypedDocument
 from magmatch.localization.estimate import LocalizerStatus, phase
+from magmatch.registration.decide.decision import in_words
 from magmatch.registration.result import Count, Fraction, Length, Number, NumberOrNull, Three
+
+# Probability of a map that is told in words: less than a place is stated with.
+LEAST_TOLD = 0.001
 
 
 class LocalizationStatus(StrEnum):
@@ -63,6 +68,9 @@ class OdometryResult(TypedDict):
     """The odometry at the last stated pose."""
 
     scale: Number  # true length of a step over the odometry's
+    sd: Annotated[
+        list[Number], Field(min_length=2, max_length=2)
+    ]  # after a walk of 10 m, as the walk shows it: position (m) and heading (deg)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,6 +83,9 @@ class LocalizationResult(TypedDocument):
         The state at the end, and in words why.
     map : str or None
         The map of the last stated pose.
+    maps : dict
+        Of a folder: the likely maps, and the probability that the body was in each at that pose, or at the end of
+        the log where no pose is stated. What is left to 1 is that it was in none of the folder's.
     first_fix : (s, m) or None
         When the first pose was stated, on the log's clock, and how far the body had walked.
     share : float
@@ -96,6 +107,7 @@ class LocalizationResult(TypedDocument):
     status: LocalizationStatus
     reason: str
     map: str | None = None
+    maps: dict[str, Fraction] = field(default_factory=dict)
     first_fix: tuple[Number, Length] | None = None
     share: Fraction = 0.0
     sd: tuple[tuple[Number, Length, Length], ...] = ()
@@ -126,6 +138,15 @@ class LocalizationResult(TypedDocument):
             f"a pose for {self.share:.0%} of the time, sd {np.median(shift):.2g} m and "
             f"{np.degrees(np.median(turn)):.2g} degrees (at most {shift.max():.2g} m, {np.degrees(turn.max()):.2g})"
         )
+
+    @property
+    def maps_in_words(self) -> str:
+        """Of a folder the likely maps, and that it is none of them, with their probabilities; else nothing."""
+        if not self.maps:
+            return ""
+        none = max(1 - sum(self.maps.values()), 0.0)
+        found = [(name, p) for name, p in self.maps.items() if p >= LEAST_TOLD]
+        return ", ".join(f"{name} {in_words(p)}" for name, p in (*found, ("none of the maps", none)))
 
     @property
     def is_localized(self) -> bool:

@@ -21,12 +21,13 @@ from magmatch.typing import Matrix, Vector3
 THETA, PLACE, BIAS, MISFIT, ERROR, GAIN, MISFIT_SLOPE, ERROR_SLOPE, SCALE, N = 0, 3, 6, 9, 12, 15, 16, 19, 22, 23
 N_READ = MISFIT_SLOPE
 # One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the
-# search for it cost, and that bins gained that are no longer kept.
+# search for it cost, and that bins gained that are no longer kept. Drift: of the variances that the odometry's random
+# walk is stated with, the factor under which this hypothesis follows it.
 HYPOTHESIS = np.dtype(
     [
         ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("e", "f8", 3),
         ("c_slope", "f8", 3), ("e_slope", "f8", 3), ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)),
-        ("earlier", "f8"),
+        ("earlier", "f8"), ("drift", "f8"),
     ]
 )  # fmt: skip
 
@@ -34,10 +35,11 @@ HYPOTHESIS = np.dtype(
 class Model(NamedTuple):
     """Numbers of the filter, SI: variances per metre walked (``_walk``) or second, and of a measurement."""
 
-    place_walk: float
-    height_walk: float
+    place_walk: float  # of the odometry, as stated
     turn_walk: float
-    tilt_walk: float
+    bent_walk: float  # of the map's own poses
+    tilt_walk: float  # 0: as much as the turn
+    is_planar: bool
     bias_drift: float
     misfit_variance: float
     misfit_length: float
@@ -59,14 +61,13 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
     noise, odometry = known.noise, config.odometry
     # The map's own poses are bent. Its frame is followed as it is: it moves past the body as odometry drifts.
     bent = 2 * noise.drift_sd**2 / noise.drift_length
-    turn = odometry.rotation_sd**2
-    upright = config.is_gravity_aligned
     return Model(
-        place_walk=odometry.translation_sd**2 + bent,
-        height_walk=0.0 if config.is_planar else odometry.translation_sd**2 + bent,
-        turn_walk=turn,
+        place_walk=odometry.translation_sd**2,
+        turn_walk=odometry.rotation_sd**2,
+        bent_walk=bent,
         # A vertical that gravity gives keeps to it, within the same length as the map's errors last.
-        tilt_walk=2 * (0.3 * UPRIGHT_SD) ** 2 / noise.drift_length if upright else turn,
+        tilt_walk=2 * (0.3 * UPRIGHT_SD) ** 2 / noise.drift_length if config.is_gravity_aligned else 0.0,
+        is_planar=config.is_planar,
         bias_drift=config.bias_drift**2,
         misfit_variance=noise.misfit_sd**2 + noise.constant_sd**2,
         misfit_length=noise.misfit_length,
@@ -81,7 +82,7 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
 def hypotheses(n: int) -> np.ndarray:
     """A bank of n, all at the model's origin."""
     bank = np.zeros(n, HYPOTHESIS)
-    bank["R"], bank["P"] = np.eye(3), np.eye(N)
+    bank["R"], bank["P"], bank["drift"] = np.eye(3), np.eye(N), 1.0
     return bank
 
 
@@ -141,9 +142,11 @@ def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
     # Of a stationary process as much comes back as the step forgets.
     g00, g01, g11 = 1 - f00 * f00 - f01 * f01, -f00 * f10 - f01 * f11, 1 - f10 * f10 - f11 * f11
     n00, n01, n11 = 1 - m00 * m00 - m01 * m01, -m00 * m10 - m01 * m11, 1 - m10 * m10 - m11 * m11
+    turn, place = h.drift * model.turn_walk, h.drift * model.place_walk + model.bent_walk
+    tilt, height = model.tilt_walk if model.tilt_walk > 0 else turn, 0.0 if model.is_planar else place
     for a in range(3):
-        P[a, a] += model.tilt_walk * d
-        P[3 + a, 3 + a] += model.place_walk * d
+        P[a, a] += tilt * d
+        P[3 + a, 3 + a] += place * d
         P[BIAS + a, BIAS + a] += model.bias_drift * dt
         P[MISFIT + a, MISFIT + a] += n00
         P[MISFIT_SLOPE + a, MISFIT_SLOPE + a] += n11
@@ -155,8 +158,8 @@ def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
         P[ERROR_SLOPE + a, ERROR + a] += g01
         for k in range(3):
             vertical = up[a] * up[k] * d
-            P[a, k] += (model.turn_walk - model.tilt_walk) * vertical
-            P[3 + a, 3 + k] += (model.height_walk - model.place_walk) * vertical
+            P[a, k] += (turn - tilt) * vertical
+            P[3 + a, 3 + k] += (height - place) * vertical
     for a in range(3):
         x, y, z = R[a, 0], R[a, 1], R[a, 2]
         for k in range(3):

@@ -2,7 +2,7 @@
 """A log as it was followed: what was known at each of its poses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.tables.tum import write_poses
 from magmatch.data.trajectory import Trajectory
 from magmatch.field.map import FieldMap
-from magmatch.geometry import path_walked
+from magmatch.geometry import path_walked, transform_from_product
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
@@ -42,6 +42,9 @@ class Track:
     config : LocalizerConfig
     seconds : dict
         Per stage and total.
+    places : dict
+        Of an atlas: name of a map to the probability that the body is in it, as of the last stated pose, or of the
+        end. What is left to 1 is that it is in none.
     """
 
     log: Survey
@@ -49,6 +52,7 @@ class Track:
     estimates: Sequence[Estimate]
     config: LocalizerConfig
     seconds: dict[str, float]
+    places: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         n = int(self.is_stated.sum())
@@ -68,8 +72,8 @@ class Track:
     @property
     def poses(self) -> RigidTransform:
         """The stated ones, ``T_map_body``, at ``log.times[is_stated]``: fewer than the log's, or none at all."""
-        stated = [e.T_map_body for e in self.estimates if e.T_map_body is not None]
-        return RigidTransform.concatenate(stated) if stated else RigidTransform.from_matrix(np.zeros((0, 4, 4)))
+        stated = [e.matrix for e in self.estimates if e.matrix is not None]
+        return transform_from_product(np.array(stated).reshape(-1, 4, 4))
 
     def save(self, path: str | Path, odometry: Trajectory | None = None) -> None:
         """Write the stated poses as TUM, on the log's clock; where there are none, a file without lines of data.
@@ -113,6 +117,7 @@ class Track:
             LocalizationStatus.NEVER, reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
             seconds=dict(self.seconds), config=self.config.model_dump(mode="json"), version=__version__,
             inputs=tuple(describe_input(s) for s in (*(m.survey for m in self.maps), self.log)),
+            maps=dict(self.places),
         )  # fmt: skip
         if not is_stated.any():
             return found
@@ -133,7 +138,10 @@ class Track:
                 "bias_sd": final.bias_sd.tolist(),
                 "scale": float(final.gain or 1.0),
             },
-            odometry={"scale": float(final.scale or 1.0)},
+            odometry={
+                "scale": float(final.scale or 1.0),
+                "sd": [float(final.drift or 1.0) * sd for sd in self.config.odometry.sd],
+            },
         )
 
     def _segments(self) -> list[Segment]:

@@ -18,16 +18,16 @@ from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
 STATED = np.dtype(
     [
         ("T", "f8", (4, 4)), ("covariance", "f8", (6, 6)), ("bias", "f8", 3), ("bias_sd", "f8", 3),
-        ("scale", "f8"), ("gain", "f8"),
+        ("scale", "f8"), ("gain", "f8"), ("drift", "f8"),
     ]
 )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Weighed:
-    """One hypothesis (1,) as a decision sees it; see `magmatch.registration.weigh.hypothesis`."""
+    """A hypothesis (1,) as a decision sees it, the likeliest of those that differ by how the odometry drifts."""
 
-    row: int
+    rows: tuple[int, ...]  # these, likeliest first; the evidence is that of all
     one: np.ndarray
     log_evidence: float
     misfit: float
@@ -122,7 +122,13 @@ def forget(
     # A body that may leave the map and is outside forgets nothing, and nothing of that when it comes back.
     is_free, is_outside = np.arange(len(bank)) < toll.n_free, fit[-1]["is_known"] == 0
     limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(toll.most, bank["earlier"])), toll.most)
-    bank["earlier"] = np.minimum(bank["earlier"] + gained - rest, limit)
+    kept = np.minimum(bank["earlier"] + gained - rest, limit)
+    # Of one place under several drifts the likeliest is capped, and the others stay as much behind; not more than
+    # by these odds, since odometry may come to drift otherwise as seldom as a track is lost.
+    free, before = slice(toll.n_free), (bank["earlier"] + gained - rest)[: toll.n_free]
+    if len(before) > 1:
+        kept[free] = kept[int(np.argmax(before))] + np.maximum(before - before.max(), -toll.most)
+    bank["earlier"] = kept
 
 
 @compiled
@@ -145,25 +151,38 @@ def weigh(
     bank: np.ndarray, steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll,
     tolerance: tuple[float, float],
 ) -> list[Weighed]:  # fmt: skip
-    """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`."""
+    """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`.
+
+    A pose under several drifts of the odometry is one answer, whose evidence is the sum over these: it includes their
+    prior probabilities.
+    """
     gained, factor, misfit = evidence(steps, fit, null, known, toll)
     gained += bank["earlier"]
     return [
-        Weighed(k, bank[k : k + 1], float(gained[k]), max(float(misfit[k]), 1.0) * known.dispersion, float(factor[k]))
-        for k in _distinct(bank, gained, tolerance)
+        Weighed(
+            rows,
+            bank[rows[0] : rows[0] + 1],
+            float(np.logaddexp.reduce(gained[list(rows)])),
+            max(float(misfit[rows[0]]), 1.0) * known.dispersion,
+            float(factor[rows[0]]),
+        )
+        for rows in _distinct(bank, gained, tolerance)
     ]
 
 
-def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float]) -> list[int]:
-    """Hypotheses no two of which are one answer, the best of each."""
-    if len(bank) == 1:
-        return [0]
-    kept: list[int] = []
+def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float]) -> list[tuple[int, ...]]:
+    """Rows of one answer each, the best first, and of one drift the best only."""
+    firsts: list[int] = []
+    kept: list[tuple[int, ...]] = []
     most = 1 + 2 * np.cos(tolerance[1])
-    for k in np.argsort(-gained, kind="stable"):
-        is_near = np.linalg.norm(bank["p"][kept] - bank["p"][k], axis=1) <= tolerance[0]
-        if not (is_near & ((bank["R"][kept] * bank["R"][k]).sum(axis=(1, 2)) >= most)).any():
-            kept.append(int(k))
+    for k in np.argsort(-gained, kind="stable").tolist():
+        is_near = np.linalg.norm(bank["p"][firsts] - bank["p"][k], axis=1) <= tolerance[0]
+        is_near &= (bank["R"][firsts] * bank["R"][k]).sum(axis=(1, 2)) >= most
+        if not is_near.any():
+            firsts.append(k)
+            kept.append((k,))
+        elif bank["drift"][k] not in bank["drift"][list(kept[one := int(is_near.argmax())])]:
+            kept[one] = (*kept[one], k)
     return kept
 
 
@@ -236,4 +255,4 @@ def _state(bank, last, T, frame, factor, model, said):  # type: ignore[no-untype
             out.T[a, 3] += T_map_model[a, k] * h.p[k]
             for e in range(3):
                 out.T[a, e] += T_map_model[a, k] * h.R[k, e]
-    out.scale, out.gain = 1 + h.scale, 1 + h.gain
+    out.scale, out.gain, out.drift = 1 + h.scale, 1 + h.gain, np.sqrt(h.drift)

@@ -20,6 +20,8 @@ from magmatch.field.fit import fit_posterior
 from magmatch.registration.prepared.path_noise import (
     PathNoise,
     Stretch,
+    _likelihood,
+    _stack_alike,
     learn_path_noise,
     likelier_of_kinds,
     most_likely,
@@ -157,6 +159,20 @@ def test_what_is_learned_is_the_mode_of_likelihood_and_guess():
         for factor in (0.9, 1.1):
             assert log_posterior(replace(found, **{name: factor * getattr(found, name)})) < best + 1e-3, name
     assert found.n_stretches == 6
+
+
+@pytest.mark.parametrize("is_smooth", [False, True])
+def test_the_likelihoods_slope_is_its_difference_quotient(is_smooth):
+    noise, stretches = replace(NOISE, is_smooth=is_smooth), stretches_of(NOISE, 3, 6)
+    (stack,) = _stack_alike(stretches)
+
+    def cost(one):
+        chi2, half_log_det, _ = _likelihood(one, *stack)
+        return (0.5 * chi2 + half_log_det).sum()
+
+    for name, slope in _likelihood(noise, *stack)[2].items():
+        up, down = (cost(replace(noise, **{name: np.exp(h) * getattr(noise, name)})) for h in (1e-5, -1e-5))
+        assert slope == pytest.approx((up - down) / 2e-5, rel=1e-4, abs=1e-4), name
 
 
 def test_a_field_that_repeats_exactly_but_for_a_constant_has_a_noise_too():

@@ -102,10 +102,13 @@ class PathNoise:
         turns = skew(field.reshape(-1, 3)).reshape(*field.shape, 3)
         # A shift and a rotation of the walker's frame both change the field linearly: one matrix per bin.
         moves = np.concatenate([self.drift_sd * gradient, self.attitude_sd * turns], axis=-1)
-        fades = np.exp(-distance / self.drift_length)
         flat = moves.reshape(*moves.shape[:-3], 3 * n, 6)
-        C = flat @ np.swapaxes(flat, -1, -2) * np.repeat(np.repeat(fades, 3, axis=-2), 3, axis=-1)
-        return np.asarray(C + np.kron(self.isotropic(distance, map_sd), np.eye(3)))
+        C = flat @ np.swapaxes(flat, -1, -2)
+        # By pairs of bins and of components.
+        pairs = C.reshape(*C.shape[:-2], n, 3, n, 3)
+        pairs *= np.exp(-distance / self.drift_length)[..., :, None, :, None]
+        np.einsum("...nama->...nma", pairs)[...] += self.isotropic(distance, map_sd)[..., None]
+        return np.asarray(C)
 
 
 @lru_cache(maxsize=64)
@@ -231,33 +234,73 @@ def _maximise(guess: PathNoise, stretches: list[Stretch], known: Collection[str]
     center = np.log([getattr(guess, name) for name in names])
     stacks = _stack_alike(stretches)
 
-    def whiten(noise: PathNoise) -> tuple[Scalars, Scalars]:
-        """Chi^2 and half log-determinant of each stretch."""
-        chi2, half_log_det = [], []
-        for distance, sd, gradient, field, residual in stacks:
-            L = np.linalg.cholesky(noise.full(distance, sd, gradient, field))
-            z = np.linalg.solve(L, residual.reshape(len(L), -1, 1))
-            chi2.append((z**2).sum(axis=(1, 2)))
-            half_log_det.append(np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1))
-        return np.concatenate(chi2), np.concatenate(half_log_det)
-
     def noise_at(offset: np.ndarray) -> PathNoise:
         values = np.exp(center + np.clip(offset, -FARTHEST, FARTHEST)).tolist()
         return replace(guess, **dict(zip(names, values, strict=True)))
 
-    def cost(offset: np.ndarray) -> float:
-        chi2, half_log_det = whiten(noise_at(offset))
-        return float(0.5 * ((offset / LOG_SD) ** 2).sum() + (0.5 * chi2 + half_log_det).sum())
+    def cost(offset: np.ndarray) -> tuple[float, Scalars]:
+        noise = noise_at(offset)
+        total, slope = 0.5 * ((offset / LOG_SD) ** 2).sum(), offset / LOG_SD**2
+        for stack in stacks:
+            chi2, half_log_det, by_parameter = _likelihood(noise, *stack)
+            total += (0.5 * chi2 + half_log_det).sum()
+            slope = slope + (np.abs(offset) < FARTHEST) * [by_parameter[name] for name in names]
+        return float(total), slope
 
-    found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B")
+    found = minimize(cost, np.zeros(len(center)), method="L-BFGS-B", jac=True)
     noise = noise_at(found.x)
     # chi^2 itself scatters by sqrt(2 / n); what is left is how stretches differ.
-    chi2, _ = whiten(noise)
+    chi2 = np.concatenate([_likelihood(noise, *stack)[0] for stack in stacks])
     n_values = np.concatenate([np.full(len(stack[0]), 3 * stack[0].shape[1]) for stack in stacks])
     excess = max(float(np.mean(np.log(chi2 / n_values) ** 2 - 2 / n_values)), 0.0)
     # The guess counts as much as a few stretches.
     spread2 = (PRIOR_STRETCHES * guess.spread**2 + len(chi2) * excess) / (PRIOR_STRETCHES + len(chi2))
     return replace(noise, spread=float(np.sqrt(spread2)), n_stretches=len(chi2)), float(found.fun)
+
+
+def _likelihood(
+    noise: PathNoise, distance: Matrix, map_sd: Scalars, gradient: Tensors, field: Vectors, residual: Vectors
+) -> tuple[Scalars, Scalars, dict[str, float]]:
+    """Give chi^2 and half log-determinants of stacked stretches, (s,), and the slope of minus their log-likelihood.
+
+    The slope by the logarithm of each parameter is half the trace of ``(C^-1 - C^-1 r r^T C^-1) dC``: one inverse
+    serves all of them.
+    """
+    s, n = map_sd.shape
+    C = noise.full(distance, map_sd, gradient, field)
+    half_log_det = np.log(np.diagonal(np.linalg.cholesky(C), axis1=1, axis2=2)).sum(axis=1)
+    inverse, r = np.linalg.inv(C), residual.reshape(s, -1, 1)
+    whitened = inverse @ r
+    W = inverse - whitened * np.swapaxes(whitened, 1, 2)
+
+    pairs = W.reshape(s, n, 3, n, 3)
+    alone, turns = np.einsum("snama->snm", pairs), skew(field.reshape(-1, 3))
+    # W on what turns and shifts of the walker's frame do to the field, summed over components.
+    by_turns, by_shifts = (
+        np.einsum("snamb,snamb->snm", pairs, (flat @ np.swapaxes(flat, 1, 2)).reshape(pairs.shape))
+        for flat in (turns.reshape(s, 3 * n, 3), gradient.reshape(s, 3 * n, 3))
+    )
+    fades = np.exp(-distance / noise.drift_length)
+    turned, shifted = noise.attitude_sd**2 * fades * by_turns, noise.drift_sd**2 * fades * by_shifts
+    x = (np.sqrt(3) if noise.is_smooth else 1.0) * distance / noise.misfit_length
+    y = distance / noise.map_length
+    misfit = noise.misfit_sd**2 * np.exp(-x) * alone
+    of_map = noise.map_factor**2 * map_sd[:, :, None] * map_sd[:, None, :] * np.exp(-0.5 * y**2) * alone
+    return (
+        (r * whitened).sum(axis=(1, 2)),
+        half_log_det,
+        {
+            "misfit_sd": float((misfit * (1 + x if noise.is_smooth else 1.0)).sum()),
+            "misfit_length": 0.5 * float((misfit * (x**2 if noise.is_smooth else x)).sum()),
+            "nugget_sd": noise.nugget_sd**2 * float(np.trace(alone, axis1=1, axis2=2).sum()),
+            "constant_sd": noise.constant_sd**2 * float(alone.sum()),
+            "map_factor": float(of_map.sum()),
+            "map_length": 0.5 * float((of_map * y**2).sum()),
+            "attitude_sd": float(turned.sum()),
+            "drift_sd": float(shifted.sum()),
+            "drift_length": 0.5 * float(((turned + shifted) * distance).sum()) / noise.drift_length,
+        },
+    )
 
 
 def _stack_alike(stretches: list[Stretch]) -> list[tuple[np.ndarray, ...]]:

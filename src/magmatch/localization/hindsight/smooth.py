@@ -20,9 +20,9 @@ from magmatch.localization.belief import BIN_LENGTH
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.localization.follow_log import follow_log
+from magmatch.localization.hindsight.stretches import agreement, believed, offsets, stacked
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
-from magmatch.localization.stretches import agreement, believed, offset
 from magmatch.localization.track import Track
 from magmatch.typing import Mask
 
@@ -34,18 +34,19 @@ def smooth(place: Place, walk: Survey, config: LocalizerConfig | None = None) ->
     config, known = config or LocalizerConfig(), KnownPlaces(place)
     expect_kind(config, "config", (LocalizerConfig,))
     # Whether a fix stands is seen from the whole log.
-    at_once = config.model_copy(update={"stands": 0.0})
-    there, back = (follow_log(place, log, at_once, known) for log in (walk, reversed_log(walk)))
+    there, back = (follow_log(place, log, config, known, at_once=True) for log in (walk, reversed_log(walk)))
     forward, backward = list(there.estimates), list(reversed(back.estimates))
     both, agree = agreement(forward, backward)
     length = LikelyMaps(known, config).bin_length / BIN_LENGTH
-    walked, tested = path_walked(walk.positions), config.stands * length
-    stands = believed(forward, both, agree, walked, tested)
-    stands_back = believed(backward[::-1], both[::-1], agree[::-1], walked[::-1], tested)[::-1]
-    joined = [_join(a, b) for a, b in zip(_only(forward, stands), _only(backward, stands_back), strict=True)]
+    steps, tested = np.diff(path_walked(walk.positions), prepend=0.0), config.stands * length
+    stands = believed(forward, both, agree, steps, tested)
+    # A step back ends where that step began.
+    steps_back = np.concatenate([[0.0], steps[:0:-1]])
+    stands_back = believed(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
+    joined = join(_only(forward, stands), _only(backward, stands_back))
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
-    stated = there.config.model_copy(update={"stands": config.stands})
-    return replace(there, estimates=joined, config=stated, seconds=seconds)
+    places = back.places if back.is_stated.any() and not there.is_stated.any() else there.places
+    return replace(there, estimates=joined, seconds=seconds, places=places)
 
 
 def _only(estimates: Sequence[Estimate], stands: Mask) -> list[Estimate]:
@@ -66,19 +67,26 @@ def reversed_log(walk: Survey) -> Survey:
     )
 
 
-def _join(a: Estimate, b: Estimate) -> Estimate:
-    """Fuse both estimates; if they contradict each other, state nothing."""
-    if not (a.is_stated and b.is_stated):
-        return a if a.is_stated else b if b.is_stated else max(a, b, key=lambda e: e.probability)
-    if not agreement([a], [b])[1][0]:
-        return Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
-    T_map_a, xi = a.T_map_body, offset(a, b)
-    assert T_map_a is not None
-    assert a.covariance is not None
-    assert b.covariance is not None
+def join(forward: Sequence[Estimate], backward: Sequence[Estimate]) -> list[Estimate]:
+    """Fuse the estimates of both directions; where they contradict each other, state nothing."""
+    both, agree = agreement(forward, backward)
+    refuted = Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
+    joined = []
+    for n, (pair, contradicts) in enumerate(zip(zip(forward, backward, strict=True), both & ~agree, strict=True)):
+        # What else is said is that of the direction with more of the path behind it.
+        order = pair if 2 * n >= len(both) else pair[::-1]
+        better = max(
+            order,
+            key=lambda e: (e.is_stated, e.status is LocalizerStatus.LOCALIZED, 0.0 if e.is_stated else e.probability),
+        )
+        joined.append(refuted if contradicts else better)
+    rows = np.flatnonzero(agree).tolist()
+    (T_map_a, A), (T_map_b, B) = (stacked([each[n] for n in rows]) for each in (forward, backward))
     # Both weigh one half.
-    A, B = np.linalg.inv(a.covariance) / 2, np.linalg.inv(b.covariance) / 2
+    A, B = np.linalg.inv(A) / 2, np.linalg.inv(B) / 2
     C = np.linalg.inv(A + B)
-    sure = max(a, b, key=lambda e: (e.status is LocalizerStatus.LOCALIZED, e.probability))
-    T = T_map_a * RigidTransform.from_exp_coords(C @ B @ xi)
-    return replace(sure, matrix=T.as_matrix(), covariance=(C + C.T) / 2)
+    xi = C @ B @ offsets(T_map_a, T_map_b)[..., None]
+    matrices = (T_map_a * RigidTransform.from_exp_coords(xi[..., 0])).as_matrix()
+    for n, T, covariance in zip(rows, matrices, (C + np.swapaxes(C, 1, 2)) / 2, strict=True):
+        joined[n] = replace(joined[n], matrix=T, covariance=covariance)
+    return joined

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.localization.estimate import Estimate
+from magmatch.geometry import transform_from_product
+from magmatch.localization.estimate import Estimate, LocalizerStatus
 from magmatch.typing import Mask, Scalars
 
 # Squared distance (chi^2 of six, one in 10,000) from which on two estimates contradict each other.
 CONTRADICTION = 27.9
+NONE = (np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,45 +50,44 @@ def stretches(estimates: Sequence[Estimate]) -> list[Stretch]:
 def agreement(a: Sequence[Estimate], b: Sequence[Estimate]) -> tuple[Mask, Mask]:
     """Tell where both directions state a pose, and where these agree: (n,) each."""
     both = np.array([x.is_stated and y.is_stated for x, y in zip(a, b, strict=True)], dtype=np.bool_)
-    agree = both.copy()
-    for n in np.flatnonzero(both).tolist():
-        agree[n] = a[n].map == b[n].map and distance2(a[n], b[n]) <= CONTRADICTION
+    agree = both & [x.map == y.map for x, y in zip(a, b, strict=True)]
+    rows = np.flatnonzero(agree).tolist()
+    there, back = stacked([a[n] for n in rows]), stacked([b[n] for n in rows])
+    xi = offsets(there[0], back[0])
+    agree[rows] = (xi * np.linalg.solve(there[1] + back[1], xi[..., None])[..., 0]).sum(axis=1) <= CONTRADICTION
     return both, agree
 
 
-def distance2(a: Estimate, b: Estimate) -> float:
-    """Squared distance of two stated poses, in standard deviations."""
-    assert a.covariance is not None
-    assert b.covariance is not None
-    xi = offset(a, b)
-    return float(xi @ np.linalg.solve(a.covariance + b.covariance, xi))
+def stacked(stated: Sequence[Estimate]) -> tuple[RigidTransform, np.ndarray]:
+    """Stated poses ``T_map_body`` (m,) and their covariances (m, 6, 6)."""
+    found = [(e.matrix, e.covariance) for e in stated if e.matrix is not None and e.covariance is not None]
+    matrices, covariances = (np.array(column) for column in zip(*found, strict=True)) if found else NONE
+    return transform_from_product(matrices), covariances
 
 
-def offset(a: Estimate, b: Estimate) -> np.ndarray:
-    """Twist (6,) from one stated pose to another."""
-    T_map_a, T_map_b = a.T_map_body, b.T_map_body
-    assert isinstance(T_map_a, RigidTransform)
-    assert isinstance(T_map_b, RigidTransform)
+def offsets(T_map_a: RigidTransform, T_map_b: RigidTransform) -> np.ndarray:
+    """Twists (m, 6) from some poses to others."""
     xi: np.ndarray = (T_map_a.inv() * T_map_b).as_exp_coords()
     return xi
 
 
-def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, walked: Scalars, tested: float) -> Mask:
-    """Rows whose poses stand, (n,), of estimates in the direction of travel.
+def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, steps: Scalars, tested: float) -> Mask:
+    """Rows whose poses stand, (n,), of estimates in the direction of travel; ``steps``: path from the row before (m).
 
     Where both directions state poses and mostly disagree, one of the stretches is wrong, and nothing says which. One
     that ended within the path ``tested`` (m) counts up to where the other direction agrees; so does one that ended in
-    a contradiction, or up to that path before its end if it had stood before that.
+    a contradiction, or up to that path before its end if it had stood before that. Only path in the map counts.
     """
+    walked = np.cumsum(np.where([e.status is LocalizerStatus.DEAD_RECKONING for e in estimates], 0.0, steps))
     stands = np.zeros(len(estimates), dtype=np.bool_)
     for one in stretches(estimates):
         met, agreed = both[one.rows], agree[one.rows]
         if one.is_contradicted:
             # The contradiction began within the path by which a place is doubted; what stood before that still does.
-            back = np.abs(walked[one.last] - walked[one.rows])
+            back = walked[one.last] - walked[one.rows]
             if back[0] >= 2 * tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
                 stands[one.rows] = back >= tested
-        is_tested = abs(walked[one.last] - walked[one.first]) >= tested and not one.is_contradicted
+        is_tested = walked[one.last] - walked[one.first] >= tested and not one.is_contradicted
         if agreed.any() and not is_tested:
             stands[one.first : one.first + int(np.flatnonzero(agreed)[-1]) + 1] = True
         elif is_tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
