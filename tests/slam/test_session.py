@@ -15,15 +15,17 @@ from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
+from magmatch.runner import Runner
+from magmatch.slam.begin import settled
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.find_places import settled
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
+from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.output.covariances import write_covariances
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.g2o import write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 from magmatch.slam.statement import body_at
 
@@ -240,7 +242,8 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     ]
     others = np.flatnonzero(graph.log == graph.log[closure.second])
     assert not graph.is_tied(others, window.node).any()
-    assert not {c.node for c in places.near([window])[0]} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
+    (found,) = LoopCloser.of(places, Runner()).search.near([window])
+    assert not {c.node for c in found} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
 
 
 def test_a_pass_ties_a_window_once(three):
@@ -253,7 +256,7 @@ def test_a_pass_ties_a_window_once(three):
         T = places.graph.pose(first).inv() * places.graph.pose(closure.first) * closure.T_first_second
         sure = Match(here, closure.covariance, 12.0, -2.0, here, closure.covariance)
         candidates = [[Candidate(first, T, sure)] if n == closure.second else [] for n in path.nodes]
-        assert places.tie(path, candidates) == 0
+        assert LoopCloser.of(places, Runner()).close(path, candidates) == 0
 
 
 def test_samples_that_follow_no_path_are_refused_before_any_work():

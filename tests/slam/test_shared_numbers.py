@@ -6,13 +6,13 @@ from collections.abc import Callable
 import numpy as np
 
 import magmatch as mm
-from drifting import Place
+from drifting import Place, submap_at
 from magmatch.geometry import rotation_matrix
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
+from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.find_places import begin
 from magmatch.slam.shared_numbers import shared_numbers
 
 
@@ -20,7 +20,7 @@ def log_ratios(walk: mm.Survey, field: Callable[[np.ndarray], np.ndarray], besid
     """Of a walk without drift: error over stated sd beside each window's path, natural log."""
     places, found = begin([walk], SlamConfig()), []
     for window in places.paths[0].windows[1:-1]:
-        base = places.stretch(window.node).index.base
+        base = submap_at(places, window.node).index.base
         along = np.gradient(window.survey.positions, axis=0)
         points = window.survey.positions + beside * np.cross(
             [0, 0, 1.0], along / np.linalg.norm(along, axis=1)[:, None]

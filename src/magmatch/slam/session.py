@@ -24,9 +24,10 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
+from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
+from magmatch.slam.begin import settled
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.learned_drift import teaches_drift
@@ -35,14 +36,13 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import most_contradicted
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
+from magmatch.slam.loop_search import KINDS
 from magmatch.slam.places import Places
 from magmatch.slam.result import LogResult, Odometry, SlamResult, SlamStatus
-from magmatch.slam.search.bases import Run
+from magmatch.slam.slam import correct, correct_more
 from magmatch.slam.statement import explain, state_anchors, state_closure, state_odometry
-from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Vector3
-from magmatch.workers import bit_for_bit
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +94,7 @@ class Session:
         logs: Sequence[Survey],
         anchors: Sequence[Anchor] | str | FilePath = (),
         *,
-        run: Run | None = None,
+        run: Workers | None = None,
         progress: Progress | None = None,
         keep: str | FilePath | None = None,
     ) -> None:
@@ -133,21 +133,11 @@ class Session:
         fixed = [(a, of) for a, of in passed if (of, a.numbers) not in known]
         if earlier is None or earlier.maker is None:
             config = settled(given, config)
-        steps = Steps(
-            keep, version=__version__, config=config.model_dump(mode="json"),
-            inputs=[describe_input(survey) for survey in given], n_earlier=len(self.given),
-            closures=[c.log_odds for c in earlier.graph.closures] if earlier else [],
-            anchors=[[a.log, *a.numbers] for a, _ in fixed],
-        )  # fmt: skip
-        try:
-            with followed(progress):
-                elsewhere = None if run is None else bit_for_bit(run)
-                if earlier is None or earlier.maker is None:
-                    places = find(given, config, fixed, steps, elsewhere, clock)
-                else:
-                    places = go_on(earlier, logs, fixed, steps, elsewhere, clock)
-        finally:
-            steps.keep()
+        with followed(progress), Runner(run, keep, KINDS) as runner:
+            if earlier is None or earlier.maker is None:
+                places = correct(given, config, fixed, runner, clock)
+            else:
+                places = correct_more(earlier, logs, fixed, runner, clock)
         places.stated = places.stated.model_copy(update={"origin": origin})
         self.config, self.given, self.places = config, given, places
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}

@@ -103,7 +103,7 @@ class Path:
 
     @property
     def nodes(self) -> Indices:
-        """Of its windows."""
+        """Nodes of its windows."""
         return self.first_node + np.arange(len(self.windows))
 
     @property
@@ -141,6 +141,11 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int =
         paths.append(Path(survey, walked, number, windows, middles, first, jumps(survey)))
         log, first = log + 1, first + n
     return paths
+
+
+def in_runs(windows: Sequence[Window], n: int) -> list[Sequence[Window]]:
+    """Windows in runs of so many."""
+    return [windows[k : k + n] for k in range(0, len(windows), n)]
 
 
 def mean_field(survey: Survey) -> tuple[Vector3, float]:

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.slam.decide.answer import Weighted, by_pass, closure_beside, same_answer
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 
 HERE = RigidTransform.identity()

@@ -7,10 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.runner import Runner
 from magmatch.slam.decide.shared_frame_odds import log_odds_shared
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.loop_closer import LoopCloser
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 
 HERE = RigidTransform.identity()
@@ -72,11 +74,12 @@ def test_a_stranger_that_one_window_takes_for_known_path_is_not_connected(three)
     candidates = [[] for _ in stranger.windows]
     candidates[0] = [Candidate(a.first_node + 1, RigidTransform.identity(), said)]
     before = places.graph.p.copy()
-    assert places.connect(stranger, candidates) == 0
+    closer = LoopCloser.of(places, Runner())
+    assert closer.connect(stranger, candidates) == 0
     np.testing.assert_array_equal(places.graph.p, before)
     assert not places.graph.closures
     # Nor is any noise learned from where the refused tie put its windows.
-    assert not places.looked
+    assert not closer.search.predicted
 
 
 def test_a_log_of_the_same_place_is_connected_by_one_window_too(three):
@@ -87,6 +90,6 @@ def test_a_log_of_the_same_place_is_connected_by_one_window_too(three):
     said = Match(HERE, sure.covariance, 12.0, NOWHERE, HERE, sure.covariance)
     candidates = [[] for _ in b.windows]
     candidates[sure.second - b.first_node] = [Candidate(sure.first, sure.T_first_second, said)]
-    found = places.connect(b, candidates)
+    found = LoopCloser.of(places, Runner()).connect(b, candidates)
     assert found > 1  # the windows beside it close as well
     assert places.graph.closures[0].first == sure.first

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk, trajectory_error
-from magmatch.slam import steps
+from magmatch import runner
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.output.folder import write_folder
@@ -104,7 +104,7 @@ def test_means_along_the_path_are_near_it_and_fewer(many_laps):
 
 
 def test_an_interrupted_last_look_ends_as_if_it_was_not(many_laps, tmp_path, monkeypatch):
-    monkeypatch.setattr(steps, "KEEP_EVERY_S", 0.0)
+    monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)
     slam(many_laps.log, keep=tmp_path / "all")
     kept = sorted((tmp_path / "all").iterdir(), key=lambda path: int(path.stem))
     part = tmp_path / "part"

@@ -17,6 +17,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, is_refit
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.tiles.tiles import Tiling
+from magmatch.runner import Task
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
@@ -46,14 +47,9 @@ class TileTask:
     parts: list[Samples]  # samples that inform it, as far as they lie in its box, less those of all further parts
 
     @property
-    def name(self) -> str:
-        """In words."""
-        return "tile " + ".".join(map(str, self.index))
-
-    @property
-    def home(self) -> None:
-        """None: what is made for one tile serves no other."""
-        return
+    def packed(self) -> Task:
+        """The tile as a runner takes it."""
+        return Task("tile " + ".".join(map(str, self.index)), (self,))
 
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""

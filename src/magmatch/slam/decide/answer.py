@@ -12,7 +12,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import NODE_COVARIANCE
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Scalars

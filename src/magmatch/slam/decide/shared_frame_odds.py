@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.windows import Window
 from magmatch.typing import Points
 

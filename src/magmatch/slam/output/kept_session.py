@@ -21,7 +21,7 @@ from magmatch.slam.graph.factors import Closure, SubmapFactor
 from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
-from magmatch.slam.search.bases import BaseMaker
+from magmatch.slam.search.submaps import SubmapMaker
 from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
@@ -89,7 +89,7 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph.closures = [_closure(c) for c in content["closures"]]
     graph.submap_factors = tuple(_submap_factor(f) for f in content["submap_factors"])
     numbers, noise = Hyperparameters(**content["numbers"]), PathNoise(**content["noise"])
-    maker = BaseMaker(numbers, content["squared_gradient"], noise, content["length"], config)
+    maker = SubmapMaker(numbers, content["squared_gradient"], noise, content["length"], config)
     anchors = [(Anchor(name, t, np.array(x), sd), log) for name, t, x, sd, log in content["anchors"]]
     if anchors:
         graph.fixed = fixed_points(anchors, paths)

@@ -12,16 +12,23 @@ from dataclasses import replace
 
 import numpy as np
 
+from magmatch.data.survey import Survey
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.progress import counted
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.runner import Runner, Task
 from magmatch.slam.graph.factors import SubmapFactor
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.places import Places, in_runs
-from magmatch.slam.refine.submap import KnownPath, Submap
+from magmatch.slam.places import Places
+from magmatch.slam.refine.submap import JointSubmap, KnownPath
 from magmatch.slam.refine.submap_factor import submap_factor
-from magmatch.slam.search.candidates import Candidate
-from magmatch.slam.search.comparison import Comparison, candidate, compare
+from magmatch.slam.search.comparison import Candidate, Found, compare
+from magmatch.slam.search.loop_closure import Expected
 from magmatch.slam.search.predicted import expected_beside
-from magmatch.slam.windows import Path, Window
+from magmatch.slam.search.submaps import make_submap
+from magmatch.slam.windows import Path, Window, in_runs
+from magmatch.threads import single_threaded
+from magmatch.typing import Indices
 
 log = logging.getLogger(__name__)
 
@@ -29,48 +36,52 @@ log = logging.getLogger(__name__)
 AT_ONCE = 32
 
 
-def refine(places: Places, paths: Sequence[Path]) -> None:
+def refine(places: Places, paths: Sequence[Path], run: Runner) -> None:
     """Find the submap factors of some logs' windows in the order of time, then backward, and solve with them."""
     graph, found = places.graph, list[SubmapFactor]()
     of_others = graph.submap_factors
     for n_orders, later in enumerate((False, True), 1):
         for path in paths:
-            found += _factors(places, path, later=later)
+            found += _factors(places, path, run, later=later)
         if found:
             graph.submap_factors = (*of_others, *(replace(factor, part=1 / n_orders) for factor in found))
             solve(graph)
     log.info("windows placed on maps of several passes: %d", len(found))
 
 
-def _factors(places: Places, path: Path, *, later: bool) -> Iterator[SubmapFactor]:
+def _factors(places: Places, path: Path, run: Runner, *, later: bool) -> Iterator[SubmapFactor]:
     """Factors of a log's windows with its earlier passes, or with its later ones."""
-    known = KnownPath.of(path, places.graph)
+    known, graph, maker = KnownPath.of(path, places.graph), places.graph, places.maker
+    assert maker is not None
     windows = [window for window in path.windows if window.keeps_shape]
     what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
     for some in counted(what, in_runs(windows, AT_ONCE)):
-        submaps = [known.submap(window, places.graph, later=later) for window in some]
+        submaps = [known.submap(window, graph, later=later) for window in some]
         asked = [(window, submap) for window, submap in zip(some, submaps, strict=True) if submap is not None]
-        for (window, submap), found in zip(asked, _look(places, asked, known), strict=True):
-            factor = submap_factor(found[0], window.node, submap, places.graph, path) if found else None
-            if factor is not None:
-                yield factor
+        tasks = [_comparison(window, submap, places, known.n_averaged) for window, submap in asked]
+        for (window, submap), found in zip(asked, run(compare_with_passes, tasks), strict=True):
+            if found:
+                best, match = submap.best_known, found[0][1]
+                candidate = Candidate.beside(best, match, window, graph.center(best))
+                if (factor := submap_factor(candidate, window.node, submap, graph, path)) is not None:
+                    yield factor
 
 
-def _look(places: Places, asked: Sequence[tuple[Window, Submap]], known: KnownPath) -> list[list[Candidate]]:
-    """The pose of each window on its submap, near where the graph has it, if there is one."""
-    graph, maker = places.graph, places.maker
+def _comparison(window: Window, submap: JointSubmap, places: Places, n_averaged: float) -> Task:
+    """Look for a window on its submap near where the graph has it; each sample is a mean of so many."""
+    maker, best = places.maker, submap.best_known
     assert maker is not None
+    # They measure what lies between them, of which the submap of a single pass has its prior alone.
+    numbers = replace(maker.numbers, noise_sd=maker.numbers.noise_sd / float(np.sqrt(n_averaged)))
+    expected = expected_beside(window, np.array([best]), places.graph)[best]
+    arguments = (window, submap.survey, submap.node, numbers, expected, maker.noise, maker.length)
+    return Task(f"window {window.node} on a map of several passes", arguments)
 
-    def comparison(window: Window, submap: Submap) -> Comparison:
-        expected = expected_beside(window, np.array([submap.best_known]), graph)[submap.best_known]
-        task = maker.joint(submap.survey, submap.node, known.n_averaged)
-        return Comparison(window, task, expected, maker.noise, [])
 
-    def look() -> list[list[Candidate]]:
-        compared = maker.apply(compare, [comparison(*pair) for pair in asked])
-        return [
-            [candidate(window, s.best_known, match, graph.center(s.best_known)) for _, match in found]
-            for (window, s), found in zip(asked, compared, strict=True)
-        ]
-
-    return places.found_in_steps(len(asked), look)
+@single_threaded
+def compare_with_passes(
+    window: Window, survey: Survey, node: Indices, numbers: Hyperparameters, expected: Expected, noise: PathNoise,
+    length: float,
+) -> Found:  # fmt: skip
+    """Poses of a window near the expected one, on one map of samples of several passes."""
+    return compare(window, make_submap(survey, node, numbers, noise, length, None), expected, noise, [])

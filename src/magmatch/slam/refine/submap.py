@@ -11,7 +11,7 @@ from magmatch.geometry import product
 from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.places import MOST_PASSES
+from magmatch.slam.loop_search import MOST_PASSES
 from magmatch.slam.search.loop_closure import SAME_SHIFT
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices, Points, Scalars, Vectors
@@ -23,7 +23,7 @@ FADES = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Submap:
+class JointSubmap:
     """Passes beside a window whose places relative to it the graph knows."""
 
     survey: Survey  # their samples, in odometry's frame as it was at the best known node
@@ -44,14 +44,14 @@ class KnownPath:
 
     @classmethod
     def of(cls, path: Path, graph: PoseGraph) -> "KnownPath":
-        """Of a log, as the graph has it now."""
+        """Average a log along its path, as the graph has it now."""
         side = BIN_LENGTH * path.windows[0].length
         survey, rows = corrected(path, graph), bin_along_path(np.ascontiguousarray(path.survey.positions), side)
         node = path.nodes[path.number[np.unique(rows, return_index=True)[1]]]
         n = float(np.median(np.bincount(rows)))
         return cls(bin_means(survey.positions, rows), bin_means(survey.field, rows), node, n)
 
-    def submap(self, window: Window, graph: PoseGraph, *, later: bool) -> Submap | None:
+    def submap(self, window: Window, graph: PoseGraph, *, later: bool) -> JointSubmap | None:
         """Submap of a window, of earlier or of later passes; none if there are fewer than two.
 
         A map of one pass is what the window's closure with it was found on.
@@ -76,7 +76,7 @@ class KnownPath:
         best = int(near[np.argmin(sds)])
         T_odometry_map = product(graph.center(best), graph.pose(best).inv())
         survey = Survey(self.positions[rows], self.field[rows]).transformed(T_odometry_map)
-        return Submap(survey, self.node[rows], passes, shares, best)
+        return JointSubmap(survey, self.node[rows], passes, shares, best)
 
 
 def _passes(node: Indices, weight: Scalars, graph: PoseGraph) -> tuple[Indices, Scalars]:

@@ -9,13 +9,15 @@ from magmatch.slam.decide.answer import off_level
 from magmatch.slam.graph.factors import LEAST_KEPT, SubmapFactor
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.refine.submap import Submap
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.refine.submap import JointSubmap
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.predicted import SURE
 from magmatch.slam.windows import Path
 
 
-def submap_factor(found: Candidate, node: int, submap: Submap, graph: PoseGraph, path: Path) -> SubmapFactor | None:
+def submap_factor(
+    found: Candidate, node: int, submap: JointSubmap, graph: PoseGraph, path: Path
+) -> SubmapFactor | None:
     """The factor of a pose that was found for a node's window; none if it is no more probable than not.
 
     The graph knows that the window lies there, as it does for closures near a place that is known.

@@ -20,7 +20,7 @@ from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh
 from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
-from magmatch.slam.search.bases import Base
+from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6, Indices, Scalars
 
@@ -73,7 +73,7 @@ class Match:
 
 def matches(
     window: Window,
-    base: Base,
+    base: Submap,
     expected: Expected,
     known: Sequence[RigidTransform] | None = None,
     nodes: Indices | None = None,
@@ -175,7 +175,7 @@ def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
     return bool(prior.admits(rotation_matrix(T)[None], T.apply(center)[None], center, inaccuracy)[0])
 
 
-def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:
+def residuals(window: Window, base: Submap, T_base_log: RigidTransform) -> Stretch:
     """What a window shows where a base knows the field: the material that its noise is learned from."""
     prepared, walk = base.index.base, window.walk
     T = prepared.T_map_model.inv() * T_base_log * walk.T_survey_walk
@@ -187,7 +187,7 @@ def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch
     return Stretch(walk.positions[rows], (walk.field - values.field)[rows], sd[rows], G, walk.field[rows])
 
 
-def _prior(window: Window, base: Base, expected: Expected) -> PosePrior:
+def _prior(window: Window, base: Submap, expected: Expected) -> PosePrior:
     """What is known beforehand, between model frames."""
     T_base, T_walk, config = base.index.base.T_map_model, window.walk.T_survey_walk, window.config
     known = PosePriorConfig(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Closures of one log: candidates of all windows are weighed together along the path; probable ones are kept."""
+"""Probable closures of a log: candidates of all its windows are weighed together along the path."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from magmatch.slam.decide.answer import by_pass, closure_beside, same_answer
 from magmatch.slam.decide.chain import Placed, smooth
 from magmatch.slam.graph.factors import LEAST_KEPT, Closure
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import log_density
 from magmatch.slam.search.predicted import SURE, is_known
 from magmatch.slam.windows import Path, Window
@@ -21,7 +21,7 @@ from magmatch.typing import Matrix
 MOST_CANDIDATES = 12
 
 
-def tie(
+def probable_closures(
     path: Path,
     candidates: list[list[Candidate]],
     graph: PoseGraph,
