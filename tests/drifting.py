@@ -70,5 +70,9 @@ def trajectory_error(p_true, p):
 
 def submap_at(places, node):
     """The submap that is made for a node's window, odometry's frame."""
-    run = Runner()
-    return run.make([LoopSearch(places, run).submap(node)])[0]
+    return made(LoopSearch(places, Runner()).submap(node))
+
+
+def made(shared):
+    """What tasks share, as it is made."""
+    return shared.make(*shared.arguments)

@@ -16,6 +16,7 @@ from magmatch import runner as module
 from magmatch.geometry import product, random_transform
 from magmatch.progress import followed
 from magmatch.runner import Runner, Shared, Task, key_of
+from other_process import elsewhere
 
 done = []
 
@@ -77,7 +78,7 @@ def test_what_was_kept_is_not_found_again_and_has_the_same_bits(tmp_path_factory
     assert [one.tobytes() for one in found] == [(2 * one).tobytes() for one in values]
 
 
-@pytest.mark.parametrize("workers", [None, map])
+@pytest.mark.parametrize("workers", [None, elsewhere])
 def test_results_come_in_the_order_of_the_tasks_where_every_other_one_is_known(tmp_path, workers):
     values = [np.full(2, k) for k in range(70)]
     run_all(double, tasks_of(values[::2]), tmp_path / "kept")
@@ -172,7 +173,7 @@ def test_what_somebody_else_put_there_stays(tmp_path):
     assert len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.parametrize("workers", [None, map])
+@pytest.mark.parametrize("workers", [None, elsewhere])
 def test_what_tasks_share_is_made_once(workers, monkeypatch):
     monkeypatch.setattr(module, "_shelf", module.Shelf())
     shared = [Shared(summed, (np.arange(n),), n) for n in (3, 4)]
@@ -185,13 +186,11 @@ def test_what_tasks_share_is_made_once(workers, monkeypatch):
 
 def test_what_was_used_longest_ago_is_given_up_and_all_that_is_asked_for_is_given(monkeypatch):
     monkeypatch.setattr(module, "MOST_SHARED", 10)
-    shared = [Shared(summed, (np.arange(n),), 4) for n in range(4)]
-    run = Runner()
-    assert run.make(shared) == [0, 0, 1, 3]
+    shared, shelf = [Shared(summed, (np.arange(n),), 4) for n in range(4)], module.Shelf()
+    assert list(shelf.take(shared).values()) == [0, 0, 1, 3]
     done.clear()
-    assert run.make(shared[:1]) == [0]
-    assert run.make(shared[3:]) == [3]
-    assert run.make(shared[1:2]) == [0]
+    for n, total in ((0, 0), (3, 3), (1, 0)):
+        assert shelf.take([shared[n]]) == {shared[n].key: total}
     assert done == [1]
 
 
@@ -214,10 +213,10 @@ def test_rigid_transforms_are_sent_as_they_are():
     rng = np.random.default_rng(0)
     sent = [product(random_transform(rng), random_transform(rng)) for _ in range(200)]
     tasks = [Task("an inverse", (T, 1.0)) for T in sent]
-    back = [found[0][1].T for found in run_all(invert, tasks, workers=map)]
+    back = [found[0][1].T for found in run_all(invert, tasks, workers=elsewhere)]
     assert all((T.inv().as_matrix() == U.as_matrix()).all() for T, U in zip(sent, back, strict=True))
     # What SciPy makes of them.
-    assert not all((pickle.loads(pickle.dumps(T)).as_matrix() == T.as_matrix()).all() for T in sent)
+    assert not all((RigidTransform.from_matrix(T.as_matrix()).as_matrix() == T.as_matrix()).all() for T in sent)
 
 
 def test_progress_is_told_before_each_result():

@@ -9,19 +9,18 @@ run, and the SHA-256 of function, arguments and version stands for it: a run tha
 that, and an input that has changed finds nothing.
 """
 
+import copyreg
 import hashlib
 import logging
-import pickle
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
-from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from threading import Lock
 from time import monotonic
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -32,7 +31,6 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.progress import tell
 from magmatch.store import Kinds, load, save
 from magmatch.threads import side_by_side
-from magmatch.typing import Matrix
 
 log = logging.getLogger(__name__)
 
@@ -51,14 +49,12 @@ Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Task:
-    """Arguments of a function, and in words what comes of them.
-
-    ``about`` stands for arguments that are too many to hash.
-    """
+    """Arguments of a function, and in words what comes of them."""
 
     name: str
     arguments: tuple[Any, ...]
-    about: tuple[Any, ...] | None = None
+    about: tuple[Any, ...] | None = None  # stands for arguments that cannot be hashed
+    affinity: int | None = None  # tasks of one number had better be done by one worker, which has what they share
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +82,7 @@ class Runner:
         if workers is not None and not callable(workers):
             msg = f"run: expected a callable such as magmatch.workers.DaskRunner, got {workers!r:.40}"
             raise TypeError(msg)
-        self._workers, self._shelf, self._homes = workers, Shelf(), dict[str, int]()
+        self._workers, self._shelf, self._affinities = workers, Shelf(), dict[str, int]()
         self._memo = None if keep is None else Memo(Path(keep), kinds)
 
     def __enter__(self) -> Self:
@@ -134,11 +130,6 @@ class Runner:
             yield next(found)
         yield from found
 
-    def make(self, shared: Sequence[Shared[T]]) -> list[T]:
-        """Shared arguments, made in this process."""
-        made = self._shelf.take(shared)
-        return [made[one.key] for one in shared]
-
     def _here(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         # Not by threads: most functions hold the interpreter so often that two at once take longer than in turn.
         while some := list(islice(tasks, AT_ONCE)):
@@ -148,13 +139,13 @@ class Runner:
 
     def _elsewhere(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         assert self._workers is not None
-        packed = (Packed(task.name, self._affinity(task), _pack(task)) for task in tasks)
-        yield from map(pickle.loads, self._workers(partial(_run_packed, function), packed))
+        sent = (replace(task, about=None, affinity=self._affinity(task)) for task in tasks)
+        yield from self._workers(partial(_run, function), sent)
 
     def _affinity(self, task: Task) -> int | None:
         """Tasks that share an argument have one number: by the order in which these were first asked for."""
         keys = [one.key for one in _shared_by([task]) if not one.is_everywhere]
-        return self._homes.setdefault(keys[0], len(self._homes)) if keys else None
+        return self._affinities.setdefault(keys[0], len(self._affinities)) if keys else None
 
 
 class Shelf:
@@ -271,35 +262,13 @@ def _made(shared: Shared[T]) -> T:
     return shared.make(*shared.arguments)
 
 
-class Packed(NamedTuple):
-    """A task as bytes: SciPy brings a rigid transform to the nearest one whenever it is unpickled, we do not."""
-
-    name: str  # in words, for messages
-    affinity: int | None  # tasks of one number had better be done by one worker, which has what they share
-    content: bytes
-
-
-class _Pickler(pickle.Pickler):
-    def reducer_override(self, one: Any) -> Any:
-        if isinstance(one, RigidTransform):
-            return _transform, (one.as_matrix(),)
-        return NotImplemented
-
-
-def _transform(matrix: Matrix) -> RigidTransform:
-    return RigidTransform(matrix, normalize=False)
-
-
-def _pack(one: object) -> bytes:
-    content = BytesIO()
-    _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(one)
-    return content.getvalue()
-
-
 # What this process has made for tasks that other processes sent.
 _shelf = Shelf()
 
 
-def _run_packed(function: Callable[..., Any], packed: Packed) -> bytes:
-    task: Task = pickle.loads(packed.content)
-    return _pack(function(*_given(task, _shelf.take(_shared_by([task])))))
+def _run(function: Callable[..., R], task: Task) -> R:
+    return function(*_given(task, _shelf.take(_shared_by([task]))))
+
+
+# SciPy brings a rigid transform to the nearest one whenever it is unpickled; a task is sent to the bit.
+copyreg.pickle(RigidTransform, lambda T: (partial(RigidTransform, normalize=False), (T.as_matrix(),)))  # type: ignore[arg-type]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from drifting import made
 from magmatch.registration.search.retrieval import shortlist
 from magmatch.runner import Runner
 from magmatch.slam import loop_search
@@ -46,14 +47,13 @@ def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(clo
 
 def test_each_node_has_one_stretch_that_ends_before_the_window(lone):
     places = lone.session._now
-    window, run = places.paths[0].windows[7], Runner()
-    nodes, search = np.arange(7), LoopSearch(places, run)
+    window = places.paths[0].windows[7]
+    nodes, search = np.arange(7), LoopSearch(places, Runner())
     found = search.by_submap(nodes, window)
     assert sorted(np.concatenate(list(found.values())).tolist()) == list(range(6))
     for a, some in found.items():
         assert set(some) <= set(range(a, a + TOGETHER))
-        (submap,) = run.make([search.submap(a)])
-        inside = submap.node
+        inside = made(search.submap(a)).node
         assert {max(a - 1, 0), a + TOGETHER} <= set(inside.tolist()) < set(range(window.node))
         assert all(search.submap(int(node)) is search.submap(a) for node in some)
 

@@ -13,6 +13,7 @@ from magmatch.slam.loop_search import LoopSearch
 from magmatch.slam.run import slam
 from magmatch.slam.search.submaps import TOGETHER
 from magmatch.workers import DaskRunner
+from other_process import elsewhere
 
 
 def assert_same(session, other):
@@ -28,7 +29,7 @@ def assert_same(session, other):
 
 def test_what_is_sent_away_and_comes_back_gives_the_same_session(three):
     """Whole logs are compared too, as long as nothing ties them."""
-    assert_same(slam(three.logs, run=map), three.session)
+    assert_same(slam(three.logs, run=elsewhere), three.session)
 
 
 def test_worker_processes_give_the_same_session(lone):
@@ -54,7 +55,7 @@ def test_what_was_kept_needs_no_submap(lone, tmp_path, monkeypatch):
     assert_same(slam(lone.log, keep=tmp_path / "kept"), lone.session)
 
 
-@pytest.mark.parametrize("run", [None, map])
+@pytest.mark.parametrize("run", [None, elsewhere])
 def test_a_search_that_was_interrupted_ends_as_if_it_was_not(lone, tmp_path, monkeypatch, run):
     """In the middle of the windows that are looked for together, before and after the noise was learned."""
     monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)

@@ -16,6 +16,7 @@ from magmatch.slam.output.folder import write_folder
 from magmatch.slam.output.kept_session import read_session
 from magmatch.slam.refine.submap import KnownPath
 from magmatch.slam.run import slam
+from other_process import elsewhere
 
 
 def assert_same(session, other):
@@ -112,7 +113,7 @@ def test_an_interrupted_last_look_ends_as_if_it_was_not(many_laps, tmp_path, mon
     # All but the last windows of the last look.
     for path in kept[:-2]:
         shutil.copy(path, part)
-    assert_same(slam(many_laps.log, keep=part, run=map), many_laps.session)
+    assert_same(slam(many_laps.log, keep=part, run=elsewhere), many_laps.session)
 
 
 def test_a_kept_session_has_its_maps_and_one_more_log_leaves_them_as_they_are(many_laps, tmp_path):

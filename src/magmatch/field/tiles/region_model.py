@@ -39,7 +39,7 @@ class WholeModel(SplineModel):
             return self.infer_in_single_precision(self.observe(points, field))
         task = self.tasks_of(points, field).task(0)
         is_same = WHOLE in stored and stored[WHOLE].fingerprint == task.fingerprint()
-        return task.recall(stored[WHOLE].weights if is_same else next(Runner(run)(fit_weights, [task.packed])))
+        return task.recall(stored[WHOLE].weights if is_same else next(Runner(run)(fit_weights, [task.as_task])))
 
     def tasks_of(self, points: Points, field: Vectors) -> TileTasks:
         """What the weights follow from."""

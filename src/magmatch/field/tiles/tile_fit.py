@@ -47,7 +47,7 @@ class TileTask:
     parts: list[Samples]  # samples that inform it, as far as they lie in its box, less those of all further parts
 
     @property
-    def packed(self) -> Task:
+    def as_task(self) -> Task:
         """The tile as a runner takes it."""
         return Task("tile " + ".".join(map(str, self.index)), (self,))
 

@@ -94,7 +94,7 @@ class TiledModel:
             # Outliers and draws ask for the factors next: made here, some of them stay.
             fitted: Iterable[Scalars] = side_by_side(lambda k: noted(_fit_here(tasks, factored, k)), numbers)
         else:
-            fitted = map(noted, Runner(run)(fit_weights, (tasks.task(k).packed for k in numbers))) if numbers else ()
+            fitted = map(noted, Runner(run)(fit_weights, (tasks.task(k).as_task for k in numbers))) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
         return TiledPosterior(tasks, [found[index] for index in self.tiles], factored)
