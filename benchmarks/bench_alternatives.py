@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What our own k-d tree, CSV parser, archive and sparse Cholesky factors do, against SciPy, pandas, zarr and SuperLU.
+"""What our own k-d tree, CSV parser and sparse Cholesky factors do, against SciPy, pandas and SuperLU.
 
 Run ``python benchmarks/bench_alternatives.py``; needs the extra ``test``. Seconds of the processor, best of three,
 after compilation. docs/decisions.md says what follows.
@@ -55,43 +55,6 @@ def tables(n: int, folder: Path) -> None:
     print(f"CSV, {path.stat().st_size / 1e6:.0f} MB: ours {seconds(lambda: read_table(path, names)):.2f} s, "
           f"pandas {seconds(lambda: pd.read_csv(path)):.2f} s; "
           f"{sum(int((theirs[k] != ours.columns[k]).sum()) for k in names)} of {n * 7} numbers differ")  # fmt: skip
-
-
-def archives(folder: Path) -> None:
-    import zarr
-
-    from magmatch.field.storage.archive import read_archive, write_archive
-
-    rng = np.random.default_rng(0)
-    arrays = {"positions": rng.normal(size=(500_000, 3)), "weights": rng.normal(size=2_000_000)}
-    path, other = folder / "ours.zip", folder / "zarr.zip"
-
-    def write() -> None:
-        other.unlink(missing_ok=True)
-        with zarr.storage.ZipStore(other, mode="w") as store:
-            group = zarr.open_group(store, mode="w")
-            for name, values in arrays.items():
-                group.create_array(name, data=values, compressors=None, chunks=values.shape)
-
-    def read() -> dict[str, np.ndarray]:
-        with zarr.storage.ZipStore(other, mode="r") as store:
-            group = zarr.open_group(store, mode="r")
-            return {name: group[name][:] for name in arrays}
-
-    print(f"archive, 28 MB: ours write {seconds(lambda: write_archive(path, 'test/1', {}, arrays)):.2f} s, "
-          f"read {seconds(lambda: read_archive(path, 'test/1')):.2f} s (SHA-256); "
-          f"zarr write {seconds(write):.2f} s, read {seconds(read):.2f} s (CRC of the zip)")  # fmt: skip
-    for name, file, load in (("ours", path, lambda: read_archive(path, "test/1")), ("zarr", other, read)):
-        raw, unnoticed = file.read_bytes(), 0
-        for at in np.linspace(200, len(raw) - 1, 40).astype(int):
-            file.write_bytes(raw[:at] + bytes([raw[at] ^ 1]) + raw[at + 1 :])
-            try:
-                load()
-                unnoticed += 1
-            except Exception:
-                pass
-        file.write_bytes(raw)
-        print(f"  {name}: {unnoticed} of 40 flipped bits unnoticed")
 
 
 def cholesky(side: float) -> None:
@@ -172,7 +135,6 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         kdtree(asked.points)
         tables(asked.rows, Path(folder))
-        archives(Path(folder))
         cholesky(asked.side)
         pose_graph(asked.nodes)
 

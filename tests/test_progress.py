@@ -7,8 +7,6 @@ import pytest
 import magmatch as mm
 from magmatch.field.query import query_map
 from magmatch.progress import counted, followed, tell
-from magmatch.registration.config import PRESETS
-from magmatch.registration.index.map_index import make_index
 from magmatch.simulation.config import SimulationConfig
 from magmatch.threads import side_by_side
 
@@ -39,7 +37,7 @@ def test_every_verb_tells_the_same_callback_and_gives_the_same_answer(pair, tmp_
     np.testing.assert_array_equal(field_map.evaluate(at).field, mm.build_map(pair.base).evaluate(at).field)
     field_map.save(tmp_path / "a.map")
     calls = (
-        lambda heard: make_index(tmp_path / "a.map", PRESETS["default"], progress=heard),
+        lambda heard: mm.open_atlas(tmp_path, progress=heard),
         lambda heard: query_map(field_map, at, progress=heard),
         lambda heard: mm.register(tmp_path, pair.target, progress=heard),
         lambda heard: mm.register(mm.open_atlas(tmp_path, progress=heard), pair.target, progress=heard),

@@ -467,4 +467,4 @@ def test_the_published_method_is_public_part_by_part():
 def test_importing_loads_nothing_heavy():
     code = "import sys, magmatch; dir(magmatch); magmatch.SurveyError; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not {"numpy", "scipy", "numba", "pandas", "xarray", "plotly", "pydantic", "zarr"} & set(loaded)
+    assert not {"numpy", "scipy", "numba", "pandas", "xarray", "plotly", "pydantic"} & set(loaded)

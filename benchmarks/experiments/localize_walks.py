@@ -32,7 +32,7 @@ import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.geometry import path_walked
 from magmatch.localization.localize import localize
-from magmatch.registration.index.map_index import make_index, open_index
+from magmatch.registration.index.map_index import prepare_index
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, timed
 
@@ -101,8 +101,7 @@ def indexed(path, surveys):
     """The map at a path with its index, each made where it is not there yet."""
     if not path.exists():
         mm.build_map(surveys()).save(path)
-    index = open_index(path, mm.RegistrationConfig())
-    return make_index(path, mm.RegistrationConfig()) if index is None else index.load(mm.FieldMap.load(path))
+    return prepare_index(mm.FieldMap.load(path), mm.RegistrationConfig())
 
 
 def file_of(walk, data):

@@ -70,7 +70,9 @@ def load(path: str | Path, schema: str, kinds: Kinds = ()) -> dict[str, Any]:
     DataFormatError
         No such file, or it is damaged, of another schema, or holds a class that is not among `kinds`.
     """
-    return loads(read_bytes(path, MAX_BYTES + 1), schema, kinds, path)
+    stored = open_stored(path, schema, is_mapped=False)
+    stored.check()
+    return stored.content(kinds, own=True)
 
 
 def dumps(schema: str, content: Mapping[str, Any]) -> bytes:
@@ -113,8 +115,13 @@ class Stored:
         return tree
 
 
-def open_stored(path: str | Path, schema: str) -> Stored:
-    """Open a file that `save` wrote, mapped into memory: what this costs does not depend on the arrays' size."""
+def open_stored(path: str | Path, schema: str, *, is_mapped: bool = True) -> Stored:
+    """Open a file that `save` wrote, mapped into memory: what this costs does not depend on the arrays' size.
+
+    A mapped file shall not change while it is in use: who writes in place, not as `save` does, changes the arrays.
+    """
+    if not is_mapped:
+        return _opened(np.frombuffer(read_bytes(path, MAX_BYTES + 1), np.uint8), schema, path)
     read_bytes(path, 1)  # refuses what is no file
     place = at_rest(path)
     return _opened(

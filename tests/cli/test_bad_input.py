@@ -132,7 +132,6 @@ TAKES_A_FILE: dict[str, Callable[[Path, Path, Path], list[object]]] = {
     "target": lambda g, b, o: ["register", g, b],
     "map": lambda g, b, o: ["map", g, b, "--out", o / "m.map"],
     "query map": lambda g, b, o: ["query", b, g, "--out", o / "p.csv"],
-    "index": lambda g, b, o: ["index", b],
     "transform by": lambda g, b, o: ["transform", g, "--by", b, "--out", o / "a.csv"],
     "config": lambda g, b, o: ["register", g, g, "--config", b],
     "prepare": lambda g, b, o: ["prepare", b, "--out", o / "s.csv"],

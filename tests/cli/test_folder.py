@@ -5,10 +5,12 @@ import json
 import shutil
 
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
+from magmatch.field.saved_map import MapFile
 from magmatch.registration.config import PRESETS
-from magmatch.registration.index.map_index import index_key, keep_index, open_index, prepare_index
+from magmatch.registration.index.map_index import index_path, open_index, prepare_index
 from magmatch.registration.result import RegistrationResult
 
 
@@ -32,43 +34,29 @@ def test_register_finds_the_map_in_a_folder(place, folder, run, tmp_path):
     assert "office.map" in outcome.err
 
 
-def test_index_is_written_once_and_again_for_another_map(place, run, tmp_path):
-    path = tmp_path / "room.map"
-    shutil.copy(place / "base.map", path)
-    assert "Wrote" in run("index", path).err
-    assert "up to date" in run("index", tmp_path).err
-    first = (tmp_path / "room.map.index").read_bytes()
-    shutil.copy(place / "target.map", path)
-    assert "Wrote" in run("index", path).err
-    assert (tmp_path / "room.map.index").read_bytes() != first
+def said(outcome):
+    found = json.loads(outcome.out)
+    return [found[name] for name in ("T_base_target", "covariance", "probability")]
 
 
-def test_with_and_without_index_the_answer_is_the_same(place, run, tmp_path):
-    path = tmp_path / "room.map"
-    shutil.copy(place / "base.map", path)
-    without = json.loads(run("register", path, place / "target.map", "--json", "--no-keep-index").out)
-    assert not (tmp_path / "room.map.index").exists()
-    run("index", path)
-    assert (
-        json.loads(run("register", path, place / "target.map", "--json").out)["T_base_target"]
-        == (without["T_base_target"])
-    )
-
-
-def test_what_a_registration_prepared_is_kept_beside_the_map_and_the_rest_is_named_once(place, run, tmp_path):
+def test_what_a_registration_prepared_is_kept_beside_the_map_for_the_next(place, run, tmp_path, monkeypatch):
     path, kept = tmp_path / "room.map", tmp_path / "room.map.index"
     shutil.copy(place / "base.map", path)
     words = ("register", path, place / "target.map", "--json")
+    without = run(*words, "--no-keep-index")
+    assert not kept.exists()
     first = run(*words)
-    assert kept.is_file()
-    assert first.err.count(f"magmatch index {path}") == 1
-    content, second = kept.read_bytes(), run(*words)
-    assert "magmatch index" not in second.err
+    content = kept.read_bytes()
+    assert "index" not in first.err
+    monkeypatch.setattr("magmatch.registration.index.map_index.prepare", None)
+    second = run(*words)
     assert kept.read_bytes() == content
-    found = [json.loads(outcome.out) for outcome in (first, second)]
-    for name in ("T_base_target", "covariance", "probability"):
-        assert found[0][name] == found[1][name]
-    assert "Wrote" in run("index", path).err  # the rest
+    assert said(first) == said(second) == said(without)
+    monkeypatch.undo()
+    # Another map under the same name has nothing of it.
+    shutil.copy(place / "target.map", path)
+    run("register", path, place / "base.map", "--json")
+    assert kept.read_bytes() != content
 
 
 def test_where_nothing_can_be_kept_the_answer_is_the_same(place, run, tmp_path):
@@ -78,20 +66,21 @@ def test_where_nothing_can_be_kept_the_answer_is_the_same(place, run, tmp_path):
     outcome = run("register", path, place / "target.map", "--json")
     assert outcome.code == 0, outcome.err
     assert "cannot" not in outcome.err
+    assert "index" not in outcome.err
     assert [p.name for p in tmp_path.iterdir() if p.is_file()] == ["room.map"]
 
 
-def test_nothing_is_kept_of_a_map_that_changed_meanwhile(place, tmp_path):
+def test_nothing_is_kept_of_a_map_that_changed_meanwhile_or_was_made_of_one(place, tmp_path):
     path, config = tmp_path / "room.map", PRESETS["default"]
     shutil.copy(place / "base.map", path)
-    key = index_key(path, config)
-    index = prepare_index(FieldMap.load(path), config)
+    read = FieldMap.load(path)
     shutil.copy(place / "target.map", path)
-    assert not keep_index(path, config, index, key)
-    assert open_index(path, config) is None
+    prepare_index(read, config)
+    prepare_index(FieldMap.load(path).transformed(RigidTransform.from_translation([1, 2, 3])), config)
+    assert not index_path(path).exists()
     shutil.copy(place / "base.map", path)
-    assert keep_index(path, config, index, key)
-    assert not open_index(path, config).is_whole
+    prepare_index(read, config)
+    assert not open_index(MapFile.of(path), config).is_whole
 
 
 def test_a_folder_without_maps_is_refused_in_one_line(place, run, tmp_path):
@@ -99,12 +88,6 @@ def test_a_folder_without_maps_is_refused_in_one_line(place, run, tmp_path):
     assert outcome.code == 2
     assert len(outcome.err.strip().splitlines()) == 1
     assert "folder" in outcome.err
-
-
-def test_index_of_something_else_is_refused(place, run):
-    outcome = run("index", place / "base.csv")
-    assert outcome.code == 2
-    assert "base.csv" in outcome.err
 
 
 def test_a_rough_pose_of_a_result_is_taken_and_kept_in_the_settings(place, run):

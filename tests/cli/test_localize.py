@@ -2,6 +2,7 @@
 """``magmatch localize``: exit codes, what is written, and what is refused."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -57,6 +58,24 @@ def test_poses_are_written_in_the_maps_frame_and_the_result_says_how_sure(run, h
     words = ["--out", tmp_path / "again.tum", "--config", tmp_path / "result.json"]
     assert run("localize", hall / "hall.map", hall / "walk.csv", *words).code == 0
     assert (tmp_path / "again.tum").read_bytes() == before
+
+
+def test_what_is_prepared_of_a_map_is_kept_for_the_next_log_and_never_used_damaged(run, hall, tmp_path, monkeypatch):
+    place, kept, out = tmp_path / "a.map", tmp_path / "a.map.index", tmp_path / "where.tum"
+    shutil.copy(hall / "hall.map", place)
+
+    def answer():
+        assert run("localize", place, hall / "walk.csv", "--out", out, "--live").code == 0
+        return out.read_bytes()
+
+    first, whole = answer(), kept.read_bytes()
+    with monkeypatch.context() as patch:
+        for name in ("prepare", "index_walks", "rasterize"):
+            patch.setattr(f"magmatch.registration.index.map_index.{name}", None)
+        assert answer() == first
+    kept.write_bytes(whole[:-9] + bytes([whole[-9] ^ 1]) + whole[-8:])
+    assert answer() == first
+    assert kept.read_bytes() == whole
 
 
 def test_live_the_beginning_is_not_known_yet(run, hall, tmp_path):

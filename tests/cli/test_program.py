@@ -12,7 +12,7 @@ from magmatch import __version__
 from magmatch.cli import boundary, main
 
 COMMANDS = (
-    "register", "transform", "slam", "merge", "localize", "odometry", "prepare", "map", "index", "query", "info",
+    "register", "transform", "slam", "merge", "localize", "odometry", "prepare", "map", "query", "info",
     "view", "convert", "simulate", "datasets", "demo", "glossary",
 )  # fmt: skip
 

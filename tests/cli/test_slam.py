@@ -31,7 +31,7 @@ def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, tmp_path):
     assert "planar" in done.err
     assert "Connected" in done.err
     names = {path.name for path in (tmp_path / "out").iterdir()}
-    files = "walk.tum walk.csv map.map graph.g2o covariances.csv report.html result.json session.json"
+    files = "walk.tum walk.csv map.map graph.g2o covariances.csv report.html result.json session.state"
     assert names == set(files.split())
     assert json.loads(done.out) == SlamResult.load(tmp_path / "out" / "result.json").to_dict()
     truth = np.load(logs / "truth.npy")

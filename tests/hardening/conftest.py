@@ -12,7 +12,7 @@ import pytest
 SCRIPT = Path(__file__).with_name("writers.py")
 NAMES = [
     "survey .csv", "survey .parquet", "survey .mcap", "survey .tum", "survey .ply", "survey .vtk", "trajectory",
-    "query", "map", "map grid .vtk", "map grid .ply", "map grid .nc", "map index", "live checkpoint",
+    "query", "map", "map grid .vtk", "map grid .ply", "map grid .nc",
     "result", "result .tum", "result .g2o", "result .yaml", "preparation report", "report page",
     "view page",
 ]  # fmt: skip

@@ -4,15 +4,11 @@
 `make fuzz` tries many. Without fitting checksums nearly all mutants would be refused before anything reads them.
 """
 
-import hashlib
 import json
 import logging
-import zipfile
 from functools import partial
-from io import BytesIO
 from pathlib import Path
 
-import google_crc32c
 import numpy as np
 import pytest
 
@@ -24,17 +20,20 @@ from magmatch.data.survey import Survey
 from magmatch.errors import MagmatchError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import FieldEstimator
+from magmatch.field.live.live_record import SCHEMA as LIVE
 from magmatch.field.map import FieldMap
-from magmatch.field.storage.archive import MANIFEST
+from magmatch.field.saved_map import SCHEMA as MAP
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.registration.result import RegistrationResult
+from magmatch.store import dumps, loads
 
 NUMBERS = (0, -1, 1, 3, 1e-300, 1e-9, 1e9, 1e300, 2**31, 2**63, 10**30, None, True, "x", [], {}, [[]], float("nan"))
 
 
-def changed_json(content, rng):
-    """One value of a JSON document replaced, removed or doubled."""
+def changed_value(content, rng):
+    """One value of a tree replaced, removed or doubled, or some numbers of one of its arrays."""
     places = []
 
     def walk(part):
@@ -47,8 +46,14 @@ def changed_json(content, rng):
     if not places:
         return
     part, key = places[int(rng.integers(len(places)))]
-    kind = int(rng.integers(4))
-    if kind == 0:
+    kind, array = int(rng.integers(4)), part[key] if isinstance(part[key], np.ndarray) else np.zeros(0)
+    if len(array) and kind:
+        numbers = array.reshape(-1)
+        at = rng.integers(len(numbers), size=int(rng.choice([1, 3, 30])))
+        numbers[at] = rng.choice([0.0, 1.0, -1e-5, 1e-300, 1e9, 1e300, np.nan, np.inf, numbers[at[0]] * 1.01])
+    elif len(array):
+        part[key] = [array[1:], array.T, array.astype(np.int64), array[:0], array.astype(np.float32)][rng.integers(5)]
+    elif kind == 0:
         del part[key]
     elif kind == 1 and isinstance(part, list):
         part.append(part[key])
@@ -58,54 +63,13 @@ def changed_json(content, rng):
         part[key] = NUMBERS[int(rng.integers(len(NUMBERS)))]
 
 
-def changed_chunk(content, rng):
-    """Some numbers of a chunk replaced, with a checksum that fits."""
-    numbers = np.frombuffer(content[: max(0, len(content) - 4) // 8 * 8], "<f8").copy()
-    if len(numbers):
-        at = rng.integers(len(numbers), size=int(rng.choice([1, 3, 30])))
-        numbers[at] = rng.choice([0.0, 1.0, -1e-5, 1e-300, 1e9, 1e300, np.nan, np.inf, numbers[at[0]] * 1.01])
-    block = numbers.tobytes()
-    return block + int(google_crc32c.value(block)).to_bytes(4, "little")
-
-
-def document_of(entry):
-    """What an entry says as JSON; None for a chunk of numbers, of which one in 256 begins as JSON does."""
-    try:
-        return json.loads(entry) if entry.startswith(b"{") else None
-    except ValueError:
-        return None
-
-
-def test_a_chunk_that_begins_as_json_does_is_no_document():
-    assert document_of(b"{\tN\x16\xfb\x8e\x14\xbf") is None
-    assert document_of(b'{"shape": [3]}') == {"shape": [3]}
-
-
-def changed_archive(raw, rng):
-    """An entry of a map or checkpoint changed, and a manifest that fits."""
-    with zipfile.ZipFile(BytesIO(raw)) as archive:
-        entries = {name: archive.read(name) for name in archive.namelist()}
-    manifest = json.loads(entries.pop(MANIFEST))
+def changed_store(raw, rng, schema):
+    """Values of a map or checkpoint changed, with digests that fit."""
+    content = loads(raw, schema)
     for _ in range(int(rng.integers(1, 3))):
-        name = sorted(entries)[int(rng.integers(len(entries)))]
-        content = document_of(entries[name])
-        if content is not None:
-            changed_json(content, rng)
-            entries[name] = json.dumps(content).encode()
-        elif rng.random() < 0.9:
-            entries[name] = changed_chunk(entries[name], rng)
-        else:
-            other = sorted(entries)[int(rng.integers(len(entries)))]
-            entries[name] = entries[other]
-    manifest["attributes"]["entries"] = {
-        name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-        for name, content in entries.items()
-    }
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, content in (entries | {MANIFEST: json.dumps(manifest).encode()}).items():
-            archive.writestr(name, content)
-    return buffer.getvalue()
+        with np.errstate(invalid="ignore"):
+            changed_value(content, rng)
+    return dumps(schema, content)
 
 
 def changed_document(raw, rng):
@@ -113,7 +77,7 @@ def changed_document(raw, rng):
     content = json.loads(raw)
     content.pop("checksum", None)
     for _ in range(int(rng.integers(1, 3))):
-        changed_json(content, rng)
+        changed_value(content, rng)
     return json.dumps(content).encode()
 
 
@@ -132,8 +96,8 @@ SETTINGS = b"field: {prior: spline, lengthscale: 0.5, domain: [0, 0, 0, 5, 4, 3]
 EXTRINSIC = b"transform:\n  translation: {x: 0.1, y: 0.0, z: 0.3}\n  rotation: {x: 0.0, y: 0.0, z: 0.6, w: 0.8}\n"
 POINTS = b"x,y,z,name\n0,1,2,a\n0.5,1e-3,-2,b\n3,4,5,c\n"
 READERS = {
-    "map": (use_map, changed_archive),
-    "live checkpoint": (FieldEstimator.load, changed_archive),
+    "map": (use_map, partial(changed_store, schema=MAP)),
+    "live checkpoint": (FieldEstimator.load, partial(changed_store, schema=LIVE)),
     "result": (RegistrationResult.load, changed_document),
     "preparation report": (PreparationReport.load, changed_document),
     "settings": (use_settings, None),
@@ -151,7 +115,10 @@ def seeds(writers, tmp_path_factory):
     b = 4e-5 + 1e-5 * np.stack([np.sin(p[:, 0]), np.cos(p[:, 1]), np.sin(p[:, 2] + p[:, 0])], axis=1)
     config = FieldConfig(prior="spline", lengthscale=0.8, signal_sd=1e-5, noise_sd=1e-7, spacing=0.5)
     build_map(Survey(p, b, np.arange(14.0)), config).save(folder / "map")
-    for name in ("live checkpoint", "result", "preparation report"):
+    estimator = FieldEstimator(Hyperparameters(0.5, 1e-5, 5e-7, 0.25, 1.0))
+    estimator.update(p, b)
+    estimator.save(folder / "live checkpoint")
+    for name in ("result", "preparation report"):
         writers[name].write(0, folder / name)
     for name, content in {"settings": SETTINGS, "extrinsic": EXTRINSIC, "points": POINTS}.items():
         (folder / name).write_bytes(content)

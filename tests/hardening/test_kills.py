@@ -22,8 +22,8 @@ ELSEWHERE = {
 }
 IN_CATALOGUE = {
     "data/document.py", "data/logs/write_mcap.py", "data/formats/parquet.py", "data/tables/table.py",
-    "data/tables/tum.py", "data/write.py", "field/storage/archive.py", "field/axis_grid.py", "registration/g2o.py",
-    "registration/to_other_programs.py", "registration/index/mapped_arrays.py", "viz/pages/page.py",
+    "data/tables/tum.py", "data/write.py", "store.py", "field/axis_grid.py", "registration/g2o.py",
+    "registration/to_other_programs.py", "viz/pages/page.py",
 }  # fmt: skip
 
 

@@ -27,11 +27,8 @@ from magmatch.data.write import SURVEY_WRITERS
 from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.live.estimator import FieldEstimator
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.sensor_model import SensorModel
-from magmatch.registration.index.mapped_arrays import write_mapped
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
 
@@ -62,17 +59,9 @@ def report(seed):
     return PreparationReport(f"log-{seed}", (100, 90), (step,), {"n_samples": 4000 + seed}, SensorModel(), (), "0")
 
 
-def checkpoint(seed):
-    samples = survey(seed)
-    estimator = FieldEstimator(Hyperparameters(0.5, 1e-5, 5e-7, 0.25, 1.0))
-    estimator.update(samples.positions, samples.field)
-    return estimator
-
-
 def catalogue() -> dict[str, Writer]:
     """Writers by name; all content is made here, so that a write does little but write."""
     surveys, results, reports = ([make(seed) for seed in (1, 2)] for make in (survey, result, report))
-    lives = [checkpoint(seed) for seed in (1, 2)]
     config = FieldConfig(prior="spline", lengthscale=0.8, signal_sd=1e-5, noise_sd=1e-7, spacing=0.5)
     maps = [build_map(s.subset(np.arange(60)), config) for s in surveys]
     grids = [map_on_grid(m, 0.2) for m in maps]
@@ -91,10 +80,6 @@ def catalogue() -> dict[str, Writer]:
         "map grid .vtk": Writer(lambda k, path: write_vtk(grids[k], path), "map.vtk"),
         "map grid .ply": Writer(lambda k, path: write_ply_cloud(grids[k], path), "map.ply"),
         "map grid .nc": Writer(lambda k, path: write_netcdf(grids[k], path, "map"), "map.nc", "xarray"),
-        "map index": Writer(
-            lambda k, path: write_mapped(path, "test/1", {}, {"x": surveys[k].positions}), "room.index"
-        ),
-        "live checkpoint": Writer(lambda k, path: lives[k].save(path), "live.map"),
         "result": Writer(lambda k, path: results[k].save(path), "result.json"),
         "result .tum": Writer(lambda k, path: write_relative_tum(results[k], path), "result.tum"),
         "result .g2o": Writer(lambda k, path: write_g2o(results[k], path), "result.g2o"),

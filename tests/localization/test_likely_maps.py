@@ -12,8 +12,9 @@ import magmatch as mm
 from drifting import Place, drifting_walk
 from magmatch.errors import DataFormatError
 from magmatch.localization.belief import Belief
-from magmatch.localization.kept_state import restored, state_of
+from magmatch.localization.kept_state import KINDS, SCHEMA, restored, state_of
 from magmatch.localization.known_places import KnownPlaces, NotReadyError
+from magmatch.store import dumps, loads
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +156,9 @@ def test_a_state_is_resumed_once_its_maps_are_ready(folder):
     one = mm.Localizer(KnownPlaces(mm.open_atlas(folder)), config)
     update(one, log, range(len(log)))
     aside = Aside()
-    known, state = KnownPlaces(mm.open_atlas(folder), aside), state_of(one)
+    known, state = KnownPlaces(mm.open_atlas(folder), aside), dumps(SCHEMA, state_of(one))
     with pytest.raises(NotReadyError):
-        restored(known, config, state)
+        restored(known, config, loads(state, SCHEMA, KINDS))
     aside.work()
-    again = restored(known, config, state).estimate()
+    again = restored(known, config, loads(state, SCHEMA, KINDS)).estimate()
     np.testing.assert_array_equal(again.matrix, one.estimate().matrix)

@@ -145,7 +145,7 @@ def test_the_adjoint_carries_a_tangent_to_another_frame():
 def test_the_folder_holds_what_the_contract_says(folder, three):
     names = {path.name for path in folder.iterdir()}
     assert names == {f"{n}.{e}" for n in "abc" for e in ("csv", "tum")} | {
-        "map.map", "map_2.map", "graph.g2o", "covariances.csv", "result.json", "session.json",
+        "map.map", "map_2.map", "graph.g2o", "covariances.csv", "result.json", "session.state",
     }  # fmt: skip
     for name, survey, truth in zip("abc", three.session.trajectories, three.truth, strict=True):
         poses, there = mm.Trajectory.load(folder / f"{name}.tum"), read_survey(folder / f"{name}.csv")

@@ -10,8 +10,7 @@ from hypothesis import settings
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.map_index import make_index
+from magmatch_serve.serve import prepare_once
 from serving import serving
 
 # As in the tests of the package.
@@ -27,7 +26,7 @@ def hall(tmp_path_factory):
     noise = 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
     build_map(Survey(truth, Place(1).field(truth) + noise, name="hall")).save(folder / "hall.map")
     # As the first service of it leaves it, and every process that is started finds it.
-    make_index(folder / "hall.map", RegistrationConfig())
+    prepare_once(folder / "hall.map")
 
     def walk(seed, laps=0.5):
         return drifting_walk(Place(1), seed, laps=laps, start=float(seed), bias=(2e-6, -1e-6, 1e-6))

@@ -17,8 +17,9 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
+from magmatch.field.saved_map import MapFile
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.map_index import index_key, index_path, open_index, prepare_index
+from magmatch.registration.index.map_index import index_path, open_index, prepare_index
 from magmatch_serve.allowance import Allowance, Allowances
 from magmatch_serve.bodies import checkpoints
 from magmatch_serve.bodies.tracker import Tracker, load_places
@@ -32,7 +33,7 @@ from magmatch_serve.logs.workers import LogWorkers
 from magmatch_serve.messages import write_sample
 from magmatch_serve.openapi import openapi
 from magmatch_serve.refusals import RefusedError
-from magmatch_serve.serve import index_once
+from magmatch_serve.serve import prepare_once
 
 
 class Clock:
@@ -217,21 +218,21 @@ def test_a_token_that_is_refused_is_not_said(tmp_path):
     assert "blank" not in str(refused.value)
 
 
-def test_a_map_is_indexed_once_for_all_processes_that_the_service_starts(hall, tmp_path):
-    place, config = tmp_path / "small.map", RegistrationConfig()
+def test_a_map_is_prepared_once_for_all_processes_that_the_service_starts(hall, tmp_path):
+    place = tmp_path / "small.map"
     numbers = FieldConfig(prior="spline", lengthscale=0.8, signal_sd=1e-5, noise_sd=3e-7, spacing=0.4)
     build_map(hall.walk(2)[0].subset(np.arange(60)), numbers).save(place)
-    index_once(place)
-    whole = index_path(place).read_bytes()
-    assert open_index(place, config).is_whole
-    # What the registration of no walk leaves is not all that is needed.
-    prepare_index(FieldMap.load(place), config).save(index_path(place), index_key(place, config))
-    assert not open_index(place, config).is_whole
-    index_once(index_path(place))
-    assert index_path(place).read_bytes() == whole
-    made_at = index_path(place).stat().st_mtime_ns
-    index_once(place)
+    prepare_once(place)
+    whole, made_at = index_path(place).read_bytes(), index_path(place).stat().st_mtime_ns
+    assert open_index(MapFile.of(place), RegistrationConfig()).is_whole
+    prepare_once(place)
     assert index_path(place).stat().st_mtime_ns == made_at
+    # What the registration of no walk leaves is not all that is needed.
+    index_path(place).unlink()
+    prepare_index(FieldMap.load(place), RegistrationConfig())
+    assert not open_index(MapFile.of(place), RegistrationConfig()).is_whole
+    prepare_once(index_path(place))
+    assert index_path(place).read_bytes() == whole
 
 
 def test_maps_that_vanished_are_not_a_client_s_fault_and_break_no_worker(hall, tmp_path):

@@ -15,7 +15,6 @@ from magmatch.cli.convert import convert
 from magmatch.cli.datasets import datasets
 from magmatch.cli.demo import demo
 from magmatch.cli.glossary import glossary
-from magmatch.cli.index import index
 from magmatch.cli.info import info
 from magmatch.cli.localize import localize
 from magmatch.cli.map import build
@@ -54,7 +53,6 @@ COMMANDS = (
     odometry,
     prepare,
     build,
-    index,
     query,
     info,
     view,

@@ -2,6 +2,7 @@
 """``magmatch register``: find the transform between two surveys."""
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,7 @@ from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.prior import with_prior
-from magmatch.cli.registering import read_base, with_help, with_wait
+from magmatch.cli.registering import with_help, with_wait
 from magmatch.cli.settings import registration_config
 from magmatch.cli.summaries import tell_result
 
@@ -85,7 +86,9 @@ def register(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings that override the preset's.")] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
-    keep_index: Annotated[bool, typer.Option(help="Store a saved map's index next to it, for later targets.")] = True,
+    keep_index: Annotated[
+        bool, typer.Option(help="Keep what was prepared of a saved map beside it, for later targets.")
+    ] = True,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
 ) -> int:
     """Find the transform from TARGET to BASE.
@@ -141,8 +144,10 @@ def _register(
     from magmatch.registration.maps import map_of
     from magmatch.registration.register import register_keeping_maps
 
-    known = None if is_atlas(base) else read_base(base, layouts, settings, keep=keep)
-    used, mapped, result = register_keeping_maps(base if known is None else known.base, target, settings, seed=seed)
-    if known is not None:
-        known.keep(used, settings)
+    read: Path | Survey | FieldMap = base
+    if not is_atlas(base):
+        read = read_survey_or_map(base, layouts, "base")
+        # A map that was not read from a file keeps nothing.
+        read = read if keep else replace(read)
+    used, mapped, result = register_keeping_maps(read, target, settings, seed=seed)
     return None if used is None else map_of(used), mapped, result

@@ -57,7 +57,7 @@ class Hyperparameters:
         required = {name for name, f in names.items() if f.default is MISSING}
         found = about if isinstance(about, dict) else {}
         if not required <= found.keys() <= names.keys() or not all(map(is_number, found.values())):
-            msg = f"entry 'zarr.json', hyperparameters: expected numbers for {', '.join(sorted(names))}"
+            msg = f"entry 'hyperparameters': expected numbers for {', '.join(sorted(names))}"
             raise ValueError(msg)
         return cls(**{names[name].name: float(value) for name, value in found.items()})
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`FieldMap`: the posterior of the field over the region that a survey covers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, StoredTile
-from magmatch.field.storage.store import MapRecord
+from magmatch.field.saved_map import MapFile, MapRecord
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
@@ -58,6 +58,9 @@ class FieldMap:
         stored once the map was moved to another frame or saved, since transforming back would round.
     parts : tuple of Survey
         The surveys that were mapped together, in order; empty if there was only one.
+    file : MapFile or None
+        Where the map was read from, and what is prepared of it may be kept (`magmatch.registration.index`). A map
+        that is made of another one has no file.
     """
 
     survey: Survey
@@ -67,6 +70,7 @@ class FieldMap:
     T_domain_model: RigidTransform
     fitted_samples: Survey | None = None
     parts: tuple[Survey, ...] = ()
+    file: MapFile | None = field(default=None, init=False)
 
     def __repr__(self) -> str:
         numbers = self.hyperparameters
@@ -274,7 +278,7 @@ class FieldMap:
         return replace(self, survey=merged, posterior=posterior, fitted_samples=fitted, parts=parts)
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one file (Zarr v3 in a zip, layout in ``docs/conventions.md``), whole or not at all.
+        """Write the map to one file (layout in ``docs/conventions.md``), whole or not at all.
 
         Parameters
         ----------
@@ -319,7 +323,7 @@ class FieldMap:
         """
         expect_path(path)
         record = MapRecord.read(path)
-        return cls(
+        loaded = cls(
             record.survey,
             record.restore(path),
             record.T_map_model,
@@ -328,6 +332,9 @@ class FieldMap:
             record.fitted_samples,
             record.surveys if len(record.surveys) > 1 else (),
         )
+        if Path(path).is_file():  # nothing is kept beside a pipe
+            object.__setattr__(loaded, "file", MapFile(Path(path).absolute(), record.sha256))
+        return loaded
 
     def _tiles(self) -> dict[Index, StoredTile]:
         """What to store of the fit, so that it need not be done again."""

@@ -12,7 +12,6 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.prepared.cubes import thin
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.raster import rasterize
 from magmatch.typing import Covariance6, Matrix, Points, Scalars, Vector3
 
 # Of a field length: spacing of the raster, short against what a tracked position is known to, and of the starts.
@@ -80,7 +79,7 @@ class KnownMap:
         """Make a map, or one that is indexed, ready."""
         index = prepare_index(place, RegistrationConfig())
         base, noise = index.base, index.walks.live_noise
-        raster = rasterize(base.field_map, RASTER_SPACING * index.length, base.draws())
+        raster = index.raster(RASTER_SPACING * index.length)
         anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]
         field_sd, values = float(np.sqrt(base.sample_field.var(axis=0).mean())), raster.values.copy()
         # A map that says nothing of a place still says how much its field varies.

@@ -13,9 +13,8 @@ from magmatch.data.tables.text import is_folder
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
 from magmatch.localization.known_map import KnownMap
-from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.atlas import MAX_LOADED, Atlas, AtlasEntry, open_atlas
-from magmatch.registration.index.map_index import SUFFIX, MapIndex, open_index
+from magmatch.registration.index.map_index import SUFFIX, MapIndex
 
 Place = FieldMap | MapIndex | Atlas
 T = TypeVar("T")
@@ -49,7 +48,7 @@ class KnownPlaces:
     def fingerprint(self, entry: AtlasEntry | None) -> str:
         """Tell a version of a map from others: by its index's key, or by its samples and its field length."""
         if entry is not None:
-            return str(entry.index.content.attributes["key"])
+            return entry.index.key
         if self._fingerprint is None:
             self._fingerprint = f"{hash_survey(self.of(entry).index.field_map.survey)} {self.of(entry).length!r}"
         return self._fingerprint
@@ -95,19 +94,14 @@ class KnownPlaces:
 
 
 def open_place(path: Path, names: Collection[str] | None = None) -> Place:
-    """Open a map, with its index if there is one, or a folder of maps, all or those of some names."""
+    """Open a map, or a folder of maps, all or those of some names."""
     if is_folder(path):
         return open_atlas(path, names=names)
     path = map_of(path)
     if (found := sniff(path)) != "map":
         advice = "make a map with 'magmatch map SURVEY --out MAP'"
         raise DataFormatError(path, f"expected a saved map, found a {found} file; {advice}")
-    field_map = FieldMap.load(path)
-    index = open_index(path, RegistrationConfig())
-    try:
-        return field_map if index is None else index.load(field_map)
-    except DataFormatError:  # an index is a cache
-        return field_map
+    return FieldMap.load(path)
 
 
 def map_of(path: Path) -> Path:

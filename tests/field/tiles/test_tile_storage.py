@@ -1,23 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Maps in tiles on disk: loading fits nothing, adding a survey touches only its tiles, damage is named."""
 
-import os
-import signal
-import subprocess
-import sys
-import zipfile
-
 import numpy as np
 import pytest
 
 from magmatch.data.survey import Survey
-from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
+from magmatch.field.saved_map import SCHEMA
 from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.geometry import random_transform
+from magmatch.store import load
 
 CONFIG = FieldConfig(prior="spline", lengthscale=0.5, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
 
@@ -55,10 +50,9 @@ def refuse(*_):
     raise AssertionError
 
 
-def chunks(path):
-    """Bytes of every tile and survey chunk by name."""
-    with zipfile.ZipFile(path) as archive:
-        return {n: archive.read(n) for n in archive.namelist() if "/c/" in n}
+def tiles(path):
+    """Bytes of every tile of a saved map by its index."""
+    return {(x, y, z): w.tobytes() for x, y, z, _, w in load(path, SCHEMA)["tiles"]}
 
 
 def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypatch):
@@ -80,9 +74,8 @@ def test_map_of_chosen_numbers_loads_too(tmp_path):
     FieldMap.load(tmp_path / "m")
 
 
-def test_every_tile_is_one_chunk(saved, old):
-    tiles = {n for n in chunks(saved) if n.startswith("tile.")}
-    assert tiles == {f"tile.{i}.{j}.{k}/c/0" for i, j, k in old.posterior.tiles}
+def test_every_tile_is_stored_for_itself(saved, old):
+    assert tiles(saved).keys() == set(old.posterior.tiles)
 
 
 def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeypatch):
@@ -90,17 +83,16 @@ def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeyp
 
     def run(fit, tasks):
         for task in tasks:
-            fitted.append(task.name.removeprefix("tile "))
+            fitted.append(task.arguments[0].index)
             yield fit(task)
 
     added = before.with_surveys(walk(13, 15, seed=1, name="later"), run=run)
     added.save(tmp_path / "new.map")
-    old_chunks, new_chunks = chunks(saved), chunks(tmp_path / "new.map")
-    touched = {f"tile.{index}/c/0" for index in fitted}
+    old_tiles, new_tiles = tiles(saved), tiles(tmp_path / "new.map")
     assert 0 < len(fitted) < len(added.posterior.tiles)
-    assert {n for n in new_chunks if n.startswith("tile.") and new_chunks[n] != old_chunks.get(n)} == touched
-    samples = {n for n in old_chunks if not n.startswith("tile.")}
-    assert all(new_chunks[n] == old_chunks[n] for n in samples)
+    assert {index for index, w in new_tiles.items() if w != old_tiles.get(index)} == set(fitted)
+    was, now = (load(path, SCHEMA)["surveys"][0] for path in (saved, tmp_path / "new.map"))
+    assert all(np.array_equal(was[name], now[name]) for name in was)
     assert np.array_equal(added.T_map_model.as_matrix(), before.T_map_model.as_matrix())
     assert added.hyperparameters == before.hyperparameters
 
@@ -159,47 +151,3 @@ def test_untiled_and_other_maps_take_a_survey_too(monkeypatch):
         added = first.with_surveys(walk(2, 4, seed=1))
         assert added.knows(walk(2, 4).positions).all()
         assert np.abs(added.evaluate(walk(2, 4).positions).field - walk(2, 4).field).max() < 2e-6
-
-
-def test_damaged_tile_is_named(saved, old):
-    name = "tile.{}.{}.{}/c/0".format(*old.posterior.tiles[2])
-    with zipfile.ZipFile(saved) as archive:
-        start = archive.getinfo(name).header_offset + 30 + len(name)
-    damaged = bytearray(saved.read_bytes())
-    damaged[start + 100] ^= 1
-    saved.write_bytes(damaged)
-    with pytest.raises(DataFormatError, match=f"entry '{name}' is damaged"):
-        FieldMap.load(saved)
-
-
-ADDER = """
-import sys
-from magmatch.data.survey import Survey
-from magmatch.field.map import FieldMap
-from magmatch.field.tiles import region_model
-region_model.MOST_CELLS = 0
-path, later = sys.argv[1:]
-field_map = FieldMap.load(path)
-print(flush=True)
-field_map.with_surveys(Survey.load(later)).save(path)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="kills with a POSIX signal")
-def test_killed_while_adding_leaves_the_old_map_or_the_new_one(saved, tmp_path):
-    later = walk(13, 14.5, seed=1, name="later.csv")
-    later.save(tmp_path / "later.csv")
-    before = saved.read_bytes()
-    FieldMap.load(saved).with_surveys(Survey.load(tmp_path / "later.csv")).save(tmp_path / "new")
-    after, rng = (tmp_path / "new").read_bytes(), np.random.default_rng(0)
-    for _ in range(4):
-        saved.write_bytes(before)
-        with subprocess.Popen(
-            [sys.executable, "-c", ADDER, saved, tmp_path / "later.csv"], stdout=subprocess.PIPE
-        ) as adder:
-            adder.stdout.readline()
-            try:
-                adder.wait(rng.uniform(0, 1.0))
-            except subprocess.TimeoutExpired:
-                os.kill(adder.pid, signal.SIGKILL)
-        assert saved.read_bytes() in (before, after)

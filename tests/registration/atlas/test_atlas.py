@@ -1,4 +1,5 @@
 import shutil
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ import magmatch as mm
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.build import build_map
+from magmatch.field.saved_map import MapFile
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.atlas import is_atlas, open_atlas
@@ -15,6 +17,7 @@ from magmatch.registration.register import register, register_keeping_maps
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
+from magmatch.store import save
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +97,7 @@ def test_the_same_seed_gives_the_same_answer_and_a_kept_index_that_of_a_fresh_on
     other = register(open_atlas(rooms[0]), target)
     np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
     path = rooms[0] / "hall.map"
-    kept = open_index(path, PRESETS["default"]).load(rooms[1]["hall.map"][2])
+    kept = open_index(MapFile.of(path), PRESETS["default"]).load(rooms[1]["hall.map"][2])
     fresh = register(rooms[1]["hall.map"][2], target)
     np.testing.assert_array_equal(register(kept, target).T_base_target.as_matrix(), fresh.T_base_target.as_matrix())
 
@@ -130,13 +133,13 @@ def test_a_folder_that_holds_one_map_answers_as_that_map_does(atlas, rooms, walk
 def test_an_index_of_another_map_or_other_settings_is_stale(atlas, tmp_path):
     config, path = PRESETS["default"], tmp_path / "a.map"
     shutil.copy(atlas.folder / "attic.map", path)
-    assert open_index(path, config) is None
+    assert open_index(MapFile.of(path), config) is None
     copy_map(atlas.folder / "attic.map", path)
-    assert open_index(path, config) is not None
+    assert open_index(MapFile.of(path), config) is not None
     other = config.model_copy(update={"invariants": config.invariants.model_copy(update={"n_draws": 5})})
-    assert open_index(path, other) is None
+    assert open_index(MapFile.of(path), other) is None
     shutil.copy(atlas.folder / "hall.map", path)
-    assert open_index(path, config) is None
+    assert open_index(MapFile.of(path), config) is None
 
 
 def test_a_damaged_index_is_made_again(atlas, walk_in, tmp_path):
@@ -147,7 +150,34 @@ def test_a_damaged_index_is_made_again(atlas, walk_in, tmp_path):
     place.write_bytes(content)
     result = register(open_atlas(tmp_path), walk_in("attic.map", np.random.default_rng(5)))
     assert result.is_accepted, result.reason
-    open_index(tmp_path / "attic.map", PRESETS["default"]).content.check()
+    open_index(MapFile.of(tmp_path / "attic.map"), PRESETS["default"]).stored.check()
+
+
+def test_a_folder_that_may_not_be_written_answers_the_same(atlas, walk_in, tmp_path, monkeypatch):
+    target = walk_in("attic.map", np.random.default_rng(5))
+    monkeypatch.setattr("magmatch.registration.index.map_index.save", refuse)
+    shutil.copy(atlas.folder / "attic.map", tmp_path / "attic.map")
+    result = register(open_atlas(tmp_path), target)
+    assert [path.name for path in tmp_path.iterdir()] == ["attic.map"]
+    copy_map(atlas.folder / "attic.map", tmp_path / "attic.map")
+    expected = register(open_atlas(tmp_path), target)
+    np.testing.assert_array_equal(result.T_base_target.as_matrix(), expected.T_base_target.as_matrix())
+    np.testing.assert_array_equal(result.covariance, expected.covariance)
+
+
+def refuse(*_):
+    raise PermissionError
+
+
+def test_what_else_is_kept_in_a_folder_is_no_map(atlas, tmp_path):
+    copy_map(atlas.folder / "attic.map", tmp_path / "attic.map")
+    save(tmp_path / "session.state", "magmatch.slam.session/8", {})
+    (tmp_path / "attic.map.old").write_bytes(index_path(tmp_path / "attic.map").read_bytes())
+    assert [entry.name for entry in open_atlas(tmp_path).entries] == ["attic.map"]
+    with ZipFile(tmp_path / "old.map", "w") as old:
+        old.writestr("manifest/zarr.json", "{}")
+    with pytest.raises(DataFormatError, match=r"old\.map: is a map of an earlier version .* build it again"):
+        open_atlas(tmp_path)
 
 
 def test_a_folder_without_maps_is_no_atlas(tmp_path):

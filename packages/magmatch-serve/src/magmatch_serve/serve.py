@@ -9,10 +9,9 @@ from pathlib import Path
 import uvicorn
 
 from magmatch.errors import ConfigurationError
-from magmatch.field.map import FieldMap
-from magmatch.localization.known_places import map_of, open_place
-from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.map_index import MapIndex, make_index
+from magmatch.localization.known_map import KnownMap
+from magmatch.localization.known_places import open_place
+from magmatch.registration.index.atlas import Atlas
 from magmatch_serve.app import build_app
 from magmatch_serve.config import ServeConfig
 from magmatch_serve.connections import Wire, cut_off
@@ -30,7 +29,7 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
     had.
     """
     listening = _listen(config)
-    index_once(Path(place))
+    prepare_once(Path(place))
     service = Service(Path(place).resolve(), config)
     settings = uvicorn.Config(
         build_app(service), http="h11", loop="asyncio", ws=Wire, ws_max_size=config.max_message,
@@ -43,13 +42,11 @@ def serve(place: str | Path, config: ServeConfig, on_start: Callable[[str], None
         server.run(sockets=[listening])
 
 
-def index_once(place: Path) -> None:
-    """Index maps where they are not yet: otherwise each process would prepare them again, and do so for each log."""
+def prepare_once(place: Path) -> None:
+    """Prepare maps where they are not yet: otherwise each process would do it again, and so for each log."""
     opened = open_place(place)
-    if isinstance(opened, FieldMap):
-        make_index(map_of(place), RegistrationConfig(), opened)
-    elif isinstance(opened, MapIndex) and not opened.is_whole:
-        make_index(map_of(place), RegistrationConfig(), opened.field_map)
+    if not isinstance(opened, Atlas):
+        KnownMap.of(opened)
 
 
 class _Server(uvicorn.Server):

@@ -4,6 +4,7 @@
 import itertools
 import json
 import lzma
+import re
 import struct
 import zipfile
 import zlib
@@ -75,6 +76,7 @@ BROKEN_ZIP = (
 )
 # How a saved file (`magmatch.store`) begins, behind eight bytes that may be any.
 STORED = b'{"__metadata__'
+_STORED_HEAD = 400  # bytes: two digests and the schema
 _REGISTRATION_SCHEMA = "magmatch.registration/"
 MAX_JSON = 64 << 20
 _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
@@ -88,6 +90,8 @@ def sniff(path: str | Path) -> FileKind:
     # First, and loosely: eight bytes of any kind stand before it, and what is damaged there shall be told as a map.
     if STORED in head[:64]:
         _refuse_gzip(path, "a saved map")
+        if found := _other_schema(head):
+            raise DataFormatError(path, f"holds '{found}', expected a survey (CSV) or a saved map")
         return "map"
     kind = next((kind for signature, kind in _SIGNATURES.items() if head.startswith(signature)), None)
     if kind is not None:
@@ -102,6 +106,19 @@ def sniff(path: str | Path) -> FileKind:
         _refuse_gzip(path, "JSON")
         return _sniff_json(path)
     return "phone" if text_log_of(head) else _sniff_text(path, head)
+
+
+def may_be_map(path: Path) -> bool:
+    """Whether a file of a folder is a saved map, of this or an earlier version, damaged or not."""
+    with path.open("rb") as stream:
+        head = stream.read(_STORED_HEAD)
+    return (STORED in head[:64] and not _other_schema(head)) or (head.startswith(b"PK") and sniff(path) == "map")
+
+
+def _other_schema(head: bytes) -> str:
+    """Schema of a saved file that is no map; none where it cannot be read."""
+    found = re.search(rb'"schema":"(magmatch\.[\w./]*)"', head[:_STORED_HEAD])
+    return "" if found is None or found[1].startswith(b"magmatch.map/") else found[1].decode()
 
 
 def _refuse_gzip(path: str | Path, content: str) -> None:
@@ -158,7 +175,7 @@ def _sniff_folder(path: str | Path) -> FileKind:
 
 
 def _sniff_archive(path: str | Path) -> FileKind:
-    """A zip archive is a map unless its members say otherwise."""
+    """A zip archive is a phone's export, or nothing we read."""
     try:
         with zipfile.ZipFile(at_rest(path)) as archive:
             members = archive.namelist()
@@ -176,7 +193,10 @@ def _sniff_archive(path: str | Path) -> FileKind:
         raise DataFormatError(
             path, "is a NumPy .npz archive, expected a survey (CSV) or a saved map; export it as CSV"
         )
-    return "map"
+    if "manifest/zarr.json" in members:
+        advice = "build it again from its survey with 'magmatch map SURVEY --out MAP'"
+        raise DataFormatError(path, f"is a map of an earlier version of magmatch; {advice}")
+    raise DataFormatError(path, f"is a zip archive of {len(members)} files, none of them a phone's; unpack it first")
 
 
 def _sniff_json(path: str | Path) -> FileKind:

@@ -13,9 +13,9 @@ from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.live_cells import COUNT, KEPT_PER_CELL, N_SUMS
 from magmatch.field.live.live_tiles import LiveTiles
-from magmatch.field.storage.archive import naming_entries, read_archive, write_archive
+from magmatch.store import load, naming, save
 
-SCHEMA = "magmatch.live/1"
+SCHEMA = "magmatch.live/2"
 # Where the sums of the field (1 row) and of its products (3 rows) stand in 'moments'.
 N_MOMENTS = 4
 # Lattice indices beyond this are not told apart by float64 coordinates.
@@ -73,26 +73,27 @@ class LiveRecord:
     def write(self, path: str | Path) -> None:
         """Save the record, whole or not at all; see `read`."""
         h = self.hyperparameters
-        attributes = {
+        content = {
             "config": self.config.model_dump(mode="json"),
             "hyperparameters": None if h is None else h.as_dict(),
             "n_chosen": self.n_chosen,
             "n_samples": self.n_samples,
+            "arrays": self.arrays,
         }
-        write_archive(path, SCHEMA, attributes, self.arrays)
+        save(path, SCHEMA, content)
 
     @classmethod
     def read(cls, path: str | Path) -> "LiveRecord":
         """Read and check a checkpoint."""
-        attributes, arrays = read_archive(path, SCHEMA)
-        with naming_entries(path):
-            about = attributes["hyperparameters"]
+        content = load(path, SCHEMA)
+        with naming(path):
+            about = content["hyperparameters"]
             record = cls(
-                EstimatorConfig.model_validate(attributes["config"]),
+                EstimatorConfig.model_validate(content["config"]),
                 None if about is None else Hyperparameters.from_dict(about),
-                _count(attributes, "n_chosen"),
-                _count(attributes, "n_samples"),
-                arrays,
+                _count(content, "n_chosen"),
+                _count(content, "n_samples"),
+                content["arrays"],
             )
             record.check()
         return record
@@ -101,7 +102,7 @@ class LiveRecord:
         """Refuse content that no estimate has."""
         for name, array in self.arrays.items():
             n_columns = {"start": 3, "first": 6, "kept": 6, "summed_cells": 3, "sums": N_SUMS, "moments": 3}[name]
-            if array.ndim != 2 or array.shape[1] != n_columns or not np.isfinite(array).all():
+            if array.dtype != np.float64 or array.shape[1:] != (n_columns,) or not np.isfinite(array).all():
                 msg = f"entry '{name}': expected finite numbers, (n, {n_columns}), got {array.shape}"
                 raise ValueError(msg)
         h = self.hyperparameters
@@ -144,9 +145,9 @@ class LiveRecord:
             raise ValueError(msg)
 
 
-def _count(attributes: Mapping[str, Any], name: str) -> int:
-    value = attributes[name]
+def _count(content: Mapping[str, Any], name: str) -> int:
+    value = content[name]
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        msg = f"entry 'zarr.json', {name}: expected a count, got {value!r}"
+        msg = f"entry '{name}': expected a count, got {value!r}"
         raise ValueError(msg)
     return value

@@ -10,14 +10,15 @@ import numpy as np
 
 from magmatch.arguments import expect_path
 from magmatch.brief import brief
-from magmatch.data.formats.sniff import sniff
+from magmatch.data.formats.sniff import may_be_map
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.map import FieldMap
+from magmatch.field.saved_map import MapFile
 from magmatch.progress import Progress, followed, tell
 from magmatch.registration.config import RegistrationConfig, settings_of
-from magmatch.registration.index.map_index import SUFFIX, IndexFile, MapIndex, index_key, make_index, open_index
+from magmatch.registration.index.map_index import IndexFile, MapIndex, index_key, open_index, prepare_index
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.registration.search.retrieval import count_agreement, count_votes, shortlist
@@ -103,13 +104,13 @@ class Atlas:
         index = self._loaded.pop(entry.path, None)
         if index is None:
             field_map = FieldMap.load(entry.path)
-            if index_key(entry.path, self.config) != entry.index.content.attributes["key"]:
+            if field_map.file is None or index_key(field_map.file, self.config) != entry.index.key:
                 raise DataFormatError(entry.path, "was replaced after its folder was opened; open the folder again")
             try:
                 index = entry.index.load(field_map)
             except DataFormatError as error:
                 log.info("%s; indexing it again", error)
-                index = make_index(entry.path, self.config, field_map)
+                index = prepare_index(field_map, self.config)
         self._loaded[entry.path] = index
         while len(self._loaded) > MAX_LOADED:
             self._loaded.pop(next(iter(self._loaded)))
@@ -153,13 +154,13 @@ def open_atlas(
     if not paths:
         message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
         raise DataFormatError(folder, message)
-    opened = {path: open_index(path, config) for path in paths}
+    opened = {path: open_index(MapFile.of(path), config) for path in paths}
     stale = [path for path, index in opened.items() if index is None or not index.is_whole]
     with followed(progress):
         for number, path in enumerate(stale):
             tell(f"indexing {path.name} ({number + 1} of {len(stale)})", number / len(stale))
-            opened[path] = _kept(path, config)
-    entries = [AtlasEntry(path, index, index.table()) for path, index in opened.items() if index is not None]
+            opened[path] = _prepared(path, config)
+    entries = [AtlasEntry(path, index, index.table) for path, index in opened.items() if index is not None]
     return Atlas(folder, tuple(entries), config)
 
 
@@ -180,18 +181,17 @@ def maps_in(folder: Path, names: Collection[str] | None = None) -> Iterator[Path
     except OSError as error:
         raise DataFormatError(folder, f"cannot be read: {error.strerror or error}") from None
     for path in paths:
-        if path.name.startswith(".") or path.suffix == SUFFIX or not (names is None or path.name in names):
+        if path.name.startswith(".") or not (names is None or path.name in names):
             continue
-        with path.open("rb") as stream:
-            is_archive = stream.read(4) == b"PK\x03\x04"
-        if is_archive and sniff(path) == "map":
+        # What else is kept, such as indexes, says that it is no map.
+        if may_be_map(path):
             yield path
 
 
-def _kept(path: Path, config: RegistrationConfig) -> IndexFile:
-    """Index a map and open what was kept."""
-    make_index(path, config)
-    index = open_index(path, config)
-    if index is None or not index.is_whole:
-        raise DataFormatError(path, "its index cannot be stored next to it; make the folder writable")
-    return index
+def _prepared(path: Path, config: RegistrationConfig) -> IndexFile:
+    """Prepare a map, and open what was kept of that; where nothing can be kept, it stays in memory."""
+    index = prepare_index(FieldMap.load(path), config)
+    tell("listing pairs of points for walks")
+    index.walks  # noqa: B018  # asked for, it is prepared
+    kept = open_index(MapFile.of(path), config)
+    return kept if kept is not None and kept.is_whole else IndexFile(index.content(), config)

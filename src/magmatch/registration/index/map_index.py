@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What registration needs of one base map, computed once for any number of targets and stored next to the map.
+"""What registration and localisation need of one base map, made when it is first needed and kept beside the map.
 
-An index is a cache: it records the map, the settings and the version that it was made from, and is stale if any of
-them differs. Nothing is lost by deleting it.
+What is kept is a cache: it is used only for the content of the map, the settings and the version that it was made
+from. Nothing is lost by deleting it, and where it cannot be written it is made each time.
 """
 
 import hashlib
 import json
 import logging
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -20,27 +20,25 @@ from magmatch._version import __version__
 from magmatch.brief import brief
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
-from magmatch.field.storage.archive import fingerprint_archive
-from magmatch.progress import Progress, followed, tell
+from magmatch.field.saved_map import MapFile
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.mapped_arrays import MappedArrays, open_mapped, write_mapped
 from magmatch.registration.index.walk_index import WalkIndex, index_walks
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.prepared_map import PreparedMap, known_samples, prepare
-from magmatch.registration.prepared.raster import Raster
+from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.pair_search import PairTable
+from magmatch.store import Stored, naming, open_stored, save
 from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)
 
-SCHEMA = "magmatch.index/5"
+SCHEMA = "magmatch.index/6"
 SUFFIX = ".index"
-# What is stored of `PreparedMap`, of `PairTable` and its tree, and the table's numbers.
+KINDS = (NeighbourTree, PairTable, PathNoise)
+# What is stored of `PreparedMap`.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
-TABLE, TREE = ("positions", "field", "first", "second"), ("points", "rows", "axes", "values")
-TABLE_SCALARS = ("length", "sd_position", "sd_field", "field_norm", "gradient_rms")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,12 +49,21 @@ class MapIndex:
     ----------
     base : PreparedMap
     make_walks : callable
-        Gives what walks need in addition; this takes seconds unless it is read from a file.
+        Gives what walks need in addition; this takes seconds unless it was kept.
+    file : MapFile, optional
+        The map's own file, beside which all of it is kept as soon as it is made.
+    key : str
+        Of `index_key`.
     """
 
     base: PreparedMap
     make_walks: Callable[[], WalkIndex]
+    file: MapFile | None = None
+    key: str = ""
     _walks: list[WalkIndex] = field(default_factory=list, init=False, repr=False)
+    # As a tree of `magmatch.store`: what follows from the base alone, and further rasters by their spacing
+    _parts: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    _rasters: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     __repr__ = brief
 
@@ -65,7 +72,15 @@ class MapIndex:
         """What walks need in addition, computed on first use."""
         if not self._walks:
             self._walks.append(self.make_walks())
+            self.keep()
         return self._walks[0]
+
+    def raster(self, spacing: float) -> Raster:
+        """Give a raster of the map of another spacing (m), computed on first use."""
+        if repr(spacing) not in self._rasters:
+            self._rasters[repr(spacing)] = _packed(rasterize(self.field_map, spacing, self.base.draws()))
+            self.keep()
+        return Raster.knowing(**self._rasters[repr(spacing)])
 
     @property
     def is_whole(self) -> bool:
@@ -87,111 +102,118 @@ class MapIndex:
         """The map itself."""
         return self.base.field_map
 
-    def save(self, path: str | Path, key: str) -> None:
-        """Write what was prepared so far, with the key of `index_key`; an existing file is replaced."""
-        base, raster = self.base, self.base.raster
-        known = np.flatnonzero(raster.sd >= 0)
-        arrays = {f"prepared.{name}": getattr(base, name) for name in PREPARED} | {
-            "raster.rows": known.astype(np.int32),
-            "raster.field": raster.field.reshape(-1, 3)[known],
-            "raster.sd": raster.sd.ravel()[known],
-        }
-        draws = base.draws()
-        if all(isinstance(weights, np.ndarray) for weights in draws):
-            arrays["draws"] = np.stack(draws)
-        attributes: dict[str, Any] = {
-            "key": key,
-            "correlation_length": base.correlation_length,
-            "noise_sd": base.noise_sd,
-            "raster": {
-                "origin": [float(x) for x in raster.origin],
-                "spacing": float(raster.spacing),
-                "shape": list(raster.sd.shape),
-            },
-            "volume": self.volume,
-            "n_draws": len(draws),
-        }
+    def content(self) -> dict[str, Any]:
+        """Give what was prepared so far as a tree of `magmatch.store`."""
+        if not self._parts:
+            draws = self.base.draws()
+            self._parts.update({
+                "correlation_length": self.base.correlation_length,
+                "noise_sd": self.base.noise_sd,
+                "volume": self.volume,
+                "prepared": {name: getattr(self.base, name) for name in PREPARED},
+                "raster": _packed(self.base.raster),
+                "n_draws": len(draws),
+                "draws": np.stack(draws) if all(isinstance(weights, np.ndarray) for weights in draws) else None,
+            })  # fmt: skip
+        walks = None
         if self.is_whole:
             table = self.walks.table
-            arrays |= {f"table.{name}": getattr(table, name) for name in TABLE}
-            arrays |= {f"table.{name}": arrays[f"table.{name}"].astype(np.int32) for name in ("first", "second")}
-            arrays |= {f"tree.{name}": getattr(table.tree, name) for name in TREE}
-            attributes["noise"] = asdict(self.walks.noise)
-            attributes["live_noise"] = asdict(self.walks.live_noise)
-            attributes["table"] = {name: float(getattr(table, name)) for name in TABLE_SCALARS}
-        write_mapped(path, SCHEMA, attributes, arrays)
+            table = replace(table, first=table.first.astype(np.int32), second=table.second.astype(np.int32))
+            walks = {"noise": self.walks.noise, "live_noise": self.walks.live_noise, "table": table}
+        return self._parts | {"key": self.key, "walks": walks, "rasters": self._rasters}
+
+    def keep(self) -> None:
+        """Write what was prepared so far beside the map, where that is allowed and the map is still the same."""
+        try:
+            if self.file is not None and MapFile.of(self.file.path) == self.file:
+                save(index_path(self.file.path), SCHEMA, self.content())
+        except (OSError, ValueError) as error:
+            log.debug("what was prepared of a map is not kept: %s", error)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class IndexFile:
-    """An index on disk, opened but hardly read."""
+    """What was prepared of a map, opened but hardly read."""
 
-    content: MappedArrays
+    content: dict[str, Any]  # of `MapIndex.content`
     config: RegistrationConfig
+    stored: Stored | None = None  # where it comes from; None if it could not be kept
+
+    @property
+    def key(self) -> str:
+        """What it was made from."""
+        return str(self.content["key"])
 
     @property
     def is_whole(self) -> bool:
         """Whether it holds what walks need, too."""
-        return "table" in self.content.attributes
+        return self.content["walks"] is not None
 
     @property
     def volume(self) -> float:
         """Volume of the region that the map knows, m^3."""
-        return float(self.content.attributes["volume"])
+        return float(self.content["volume"])
 
+    @property
     def table(self) -> PairTable:
         """Pairs of points, read on demand; of a complete index."""
-        arrays = self.content.arrays
-        columns = {name: arrays[f"table.{name}"] for name in TABLE} | self.content.attributes["table"]
-        tree = NeighbourTree(*(arrays[f"tree.{name}"] for name in TREE))
-        return PairTable(tree=tree, **columns)
+        table: PairTable = self.content["walks"]["table"]
+        return table
 
     def load(self, field_map: FieldMap) -> MapIndex:
         """Read all of it, given the map that it was made of; raises DataFormatError if it is damaged."""
-        self.content.check()
-        arrays, about = self.content.arrays, self.content.attributes
-        survey = known_samples(field_map)
+        if self.stored is not None:
+            self.stored.check()
+        with naming(self.stored.path if self.stored else "index"):
+            return self._loaded(field_map)
+
+    def _loaded(self, field_map: FieldMap) -> MapIndex:
+        parts, survey = dict(self.content), known_samples(field_map)
         base = PreparedMap(
             field_map=field_map,
             T_map_model=field_map.T_map_model,
             posterior=field_map.posterior,
             samples=survey.positions,
             sample_field=survey.field,
-            raster=self._raster(),
-            correlation_length=about["correlation_length"],
-            noise_sd=about["noise_sd"],
+            raster=Raster.knowing(**parts["raster"]),
+            correlation_length=parts["correlation_length"],
+            noise_sd=parts["noise_sd"],
             drift=Drift.of(survey, field_map.posterior),
-            draws=cache(partial(_draws, arrays.get("draws"), field_map, about["n_draws"])),
-            **{name: np.array(arrays[f"prepared.{name}"]) for name in PREPARED},
+            draws=cache(partial(_draws, parts["draws"], field_map, parts["n_draws"])),
+            **{name: np.array(parts["prepared"][name]) for name in PREPARED},
         )
-        if not self.is_whole:
-            return _index_over(base, self.config)
-        table = self.table()
-        noise, live_noise = PathNoise(**about["noise"]), PathNoise(**about["live_noise"])
-        index = MapIndex(base, partial(WalkIndex, base, table.length, noise, live_noise, table))
-        assert index.walks.table is table
+        index = _index_over(base, self.config, self.key)
+        walks = parts.pop("walks")
+        if walks is not None:
+            index._walks.append(WalkIndex(base, self.table.length, walks["noise"], walks["live_noise"], self.table))
+        index._rasters.update(parts.pop("rasters"))
+        index._parts.update(parts)
         return index
-
-    def _raster(self) -> Raster:
-        arrays, about = self.content.arrays, self.content.attributes["raster"]
-        return Raster.knowing(
-            np.array(about["origin"]), about["spacing"], tuple(about["shape"]),
-            arrays["raster.rows"], arrays["raster.field"], arrays["raster.sd"],
-        )  # fmt: skip
 
 
 def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapIndex:
-    """What any target needs of a base map; independent of the seed, so that a stored index gives the same answer."""
+    """What any target needs of a base map, as it was kept, or made now.
+
+    It is independent of the seed, so that what was kept gives the same answer.
+    """
     if isinstance(base, MapIndex):
         return base
-    # With more threads the order of sums changes, and an index would give other bits than the map itself.
+    kept = open_index(base.file, config) if base.file else None
+    if kept is not None:
+        try:
+            return kept.load(base)
+        except DataFormatError as error:
+            log.debug("%s", error)
+    # With more threads the order of sums changes, and what was kept would give other bits than the map itself.
     with one_blas_thread():
         prepared = prepare(base, config.invariants.n_draws, _base_rng())
-    return _index_over(prepared, config)
+    index = _index_over(prepared, config, index_key(base.file, config) if base.file else "")
+    index.keep()
+    return index
 
 
-def _index_over(base: PreparedMap, config: RegistrationConfig) -> MapIndex:
-    return MapIndex(base, lambda: index_walks(base, config.walks.search, _base_rng()))
+def _index_over(base: PreparedMap, config: RegistrationConfig, key: str) -> MapIndex:
+    return MapIndex(base, lambda: index_walks(base, config.walks.search, _base_rng()), base.field_map.file, key)
 
 
 def _base_rng() -> np.random.Generator:
@@ -203,16 +225,25 @@ def _draws(kept: np.ndarray | None, field_map: FieldMap, n_draws: int) -> list[A
     return list(field_map.posterior.draw_weights(n_draws, _base_rng()) if kept is None else np.array(kept))
 
 
+def _packed(raster: Raster) -> dict[str, Any]:
+    """Arguments of `Raster.knowing`."""
+    known = np.flatnonzero(raster.sd >= 0)
+    return {
+        "origin": raster.origin, "spacing": float(raster.spacing), "shape": raster.sd.shape,
+        "rows": known.astype(np.int32), "field": raster.field.reshape(-1, 3)[known], "sd": raster.sd.ravel()[known],
+    }  # fmt: skip
+
+
 def index_path(map_path: str | Path) -> Path:
-    """Path of the index of a saved map: next to it, with ``.index`` added to its name."""
+    """Where what was prepared of a saved map is kept: beside it, with ``.index`` added to its name."""
     path = Path(map_path)
     return path.with_name(path.name + SUFFIX)
 
 
-def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
-    """What an index must have been made from to be valid: SHA-256 of map, settings and version."""
+def index_key(file: MapFile, config: RegistrationConfig) -> str:
+    """What it must have been made from to be valid: SHA-256 of the map's content, settings and version."""
     made_with = {
-        "map": fingerprint_archive(map_path),
+        "map": file.sha256,
         "n_draws": config.invariants.n_draws,
         "pairs": config.walks.search.model_dump(mode="json"),
         "version": __version__,
@@ -220,59 +251,15 @@ def index_key(map_path: str | Path, config: RegistrationConfig) -> str:
     return hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()
 
 
-def open_index(map_path: str | Path, config: RegistrationConfig) -> IndexFile | None:
-    """Open the index of a saved map.
+def open_index(file: MapFile, config: RegistrationConfig) -> IndexFile | None:
+    """Open what was prepared of a saved map.
 
-    None if there is none, or it was made from another map, with other settings or by another version; raises
-    DataFormatError if the map itself is none.
+    None if there is none, or it was made from other content, with other settings or by another version.
     """
-    key = index_key(map_path, config)
     try:
-        content = open_mapped(index_path(map_path), SCHEMA)
+        stored = open_stored(index_path(file.path), SCHEMA)
+        index = IndexFile(stored.content(KINDS), config, stored)
     except DataFormatError as error:
-        log.debug("no index: %s", error)
+        log.debug("nothing is kept: %s", error)
         return None
-    return IndexFile(content, config) if content.attributes.get("key") == key else None
-
-
-def make_index(
-    map_path: str | Path,
-    config: RegistrationConfig,
-    field_map: FieldMap | None = None,
-    *,
-    progress: Progress | None = None,
-) -> MapIndex:
-    """Index a saved map and store the index next to it, if the folder is writable.
-
-    Parameters
-    ----------
-    field_map : FieldMap, optional
-        The map, if it was read already.
-    progress : callable, optional
-        Called with the current step and the fraction done; see `magmatch.progress`.
-    """
-    key = index_key(map_path, config)
-    with one_blas_thread(), followed(progress):
-        index = prepare_index(field_map or FieldMap.load(map_path), config)
-        tell("listing pairs of points for walks")
-        index.walks  # noqa: B018  # asked for, it is prepared
-    try:
-        index.save(index_path(map_path), key)
-    except OSError as error:
-        log.warning("the index of %s cannot be stored: %s", map_path, error)
-    return index
-
-
-def keep_index(map_path: str | Path, config: RegistrationConfig, index: MapIndex, key: str) -> bool:
-    """Store what a registration computed from a saved map next to it; returns whether this was possible.
-
-    ``key`` is that of `index_key` from before the map was read: where the file has changed since, nothing is kept.
-    """
-    try:
-        if index_key(map_path, config) != key:
-            return False
-        index.save(index_path(map_path), key)
-    except (OSError, DataFormatError) as error:
-        log.debug("no index is stored: %s", error)
-        return False
-    return True
+    return index if index.key == index_key(file, config) else None

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One body as a tracker follows it: its localizer, what was said last, and where it was."""
 
-import json
 import math
 from collections import deque
 from collections.abc import Callable
@@ -10,15 +9,17 @@ from typing import Any
 
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import Estimate, LocalizerStatus
-from magmatch.localization.kept_state import restored, state_of
+from magmatch.localization.kept_state import KINDS, restored, state_of
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
+from magmatch.store import dumps, loads
 from magmatch_serve.messages import read_samples, write_pose
 from magmatch_serve.refusals import RefusedError
 
 # Places of its past that a picture shows, and path between two, m.
 MAX_TRAIL, TRAIL_STEP = 200, 0.1
 MAX_HYPOTHESES = 8
+SCHEMA = "magmatch.client/1"
 NOTHING = Estimate(LocalizerStatus.SEARCHING, "no sample has come yet")
 
 
@@ -42,10 +43,9 @@ class Body:
     @classmethod
     def resumed(cls, known: KnownPlaces, config: LocalizerConfig, state: bytes) -> "Body | None":
         """Of which a state was kept; None where that is of other maps, settings or another version."""
-        head, _, rest = state.partition(b"\n")
         try:
-            about = json.loads(head)
-            localizer = restored(known, config, rest)
+            about = loads(state, SCHEMA, KINDS)
+            localizer = restored(known, config, about["localizer"])
         except ValueError:
             return None
         return cls(known, config, localizer, about["name"], n=about["n"], t=about["t"], now=localizer.estimate())
@@ -53,7 +53,8 @@ class Body:
     def state(self) -> bytes:
         """All of it that a restart shall not lose."""
         assert self.localizer is not None
-        return json.dumps({"name": self.name, "n": self.n, "t": self.t}).encode() + b"\n" + state_of(self.localizer)
+        about = {"name": self.name, "n": self.n, "t": self.t, "localizer": state_of(self.localizer)}
+        return dumps(SCHEMA, about)
 
     def take(self, message: str | bytes, most: int, *, may_search: Callable[[], bool] = lambda: True) -> str | bytes:
         """Take the samples of a message; gives the answer."""
