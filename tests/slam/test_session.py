@@ -21,9 +21,8 @@ from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.loop_closer import LoopCloser
-from magmatch.slam.output.covariances import write_covariances
 from magmatch.slam.output.folder import require_folder, write_folder
-from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.output.graph_files import write_covariances, write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
@@ -160,7 +159,7 @@ def test_without_times_or_orientations_there_are_no_poses_to_write(lone, tmp_pat
     paths = [replace(lone.session.paths[0], survey=replace(lone.session.paths[0].survey, times=None))]
     session = replace(lone.session, given=[given], places=replace(lone.session.places, paths=paths))
     result = write_folder(session, tmp_path / "out")
-    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json"}
+    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json", ".state"}
     assert all(c.t_a is None for c in result.closures)
 
 

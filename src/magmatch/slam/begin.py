@@ -16,7 +16,7 @@ from magmatch.slam.graph.odometry import lie_level, odometry_graph
 from magmatch.slam.places import Places
 from magmatch.slam.search.submaps import SubmapMaker
 from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
-from magmatch.slam.shared_numbers import N_PARTS, guessed_noise, shared_numbers
+from magmatch.slam.shared_hyperparameters import N_PARTS, guessed_noise, shared_hyperparameters
 from magmatch.slam.windows import cut
 
 log = logging.getLogger(__name__)
@@ -49,12 +49,12 @@ def begin(
         return _solved(Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given), [*anchors]))
     tell("learning how the field changes")
     given = [in_one_calibration(survey) for survey in given]
-    numbers, length, measured = shared_numbers(given, n_parts)
-    biases = [sensor_bias(survey, numbers, config) for survey in given]
+    hyperparameters, length, measured = shared_hyperparameters(given, n_parts)
+    biases = [sensor_bias(survey, hyperparameters, config) for survey in given]
     paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
     n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
     log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
-    maker = SubmapMaker(numbers, measured, guessed_noise(numbers, length), length, config)
+    maker = SubmapMaker(hyperparameters, measured, guessed_noise(hyperparameters, length), length, config)
     return _solved(Places(paths, odometry_graph(paths, config), config, maker, biases, [*anchors]))
 
 

@@ -23,7 +23,7 @@ from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.sensor_bias import in_one_calibration, without_bias
-from magmatch.slam.shared_numbers import N_PARTS
+from magmatch.slam.shared_hyperparameters import N_PARTS
 from magmatch.slam.slam import close_near
 from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread

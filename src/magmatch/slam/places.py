@@ -46,7 +46,7 @@ class Places:
         if self.graph.config.is_planar and not lie_level([survey]):
             log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
         survey = in_one_calibration(survey)
-        bias = sensor_bias(survey, self.maker.numbers, self.maker.config)
+        bias = sensor_bias(survey, self.maker.hyperparameters, self.maker.config)
         unbiased = without_bias(survey, bias[0])
         (path,) = cut([unbiased], self.maker.length, self.maker.config, len(self.paths), len(self.graph.p))
         self.biases.append(bias)

@@ -23,7 +23,7 @@ from magmatch.slam.graph.factors import LEAST_KEPT
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places
-from magmatch.slam.refine.refine import refine
+from magmatch.slam.refine import refine
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.predicted import SURE
 from magmatch.slam.windows import Path, in_runs

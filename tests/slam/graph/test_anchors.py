@@ -18,7 +18,7 @@ from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import most_contradicted, solve
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.output.graph_files import write_graph
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
 from magmatch.slam.statement import explain

@@ -39,7 +39,7 @@ def write_session(session: Session, path: Path) -> None:
         "stated": places.stated.model_dump(mode="json"),
         "config": maker.config.model_dump(mode="json"),
         "inputs": [describe_input(s)["sha256"] for s in session.given],
-        "seconds": session.seconds, "numbers": maker.numbers, "noise": maker.noise,
+        "seconds": session.seconds, "hyperparameters": maker.hyperparameters, "noise": maker.noise,
         "squared_gradient": maker.squared_gradient, "length": maker.length,
         "biases": places.biases, "anchors": places.anchors,
         "closures": list(graph.closures), "submap_factors": tuple(graph.submap_factors),
@@ -88,8 +88,8 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph = odometry_graph(paths, config)
     graph.R, graph.p, graph.level, graph.lasting = (content[k] for k in ("R", "p", "level", "lasting"))
     graph.closures, graph.submap_factors = content["closures"], content["submap_factors"]
-    numbers, noise, anchors = content["numbers"], content["noise"], content["anchors"]
-    maker = SubmapMaker(numbers, content["squared_gradient"], noise, content["length"], config)
+    hyperparameters, noise, anchors = content["hyperparameters"], content["noise"], content["anchors"]
+    maker = SubmapMaker(hyperparameters, content["squared_gradient"], noise, content["length"], config)
     if anchors:
         graph.fixed = fixed_points(anchors, paths)
     # Poses stay as they were; covariances follow from this.

@@ -20,7 +20,7 @@ from magmatch.runner import Shared
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.roughness import as_rough_as_here
+from magmatch.slam.shared_hyperparameters import as_rough_as_here
 from magmatch.slam.windows import Path
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Mask, Points
@@ -66,7 +66,7 @@ class Submap:
 
 @single_threaded
 def make_submap(
-    survey: Survey, node: Indices, numbers: Hyperparameters, noise: PathNoise, length: float,
+    survey: Survey, node: Indices, hyperparameters: Hyperparameters, noise: PathNoise, length: float,
     search: PairSearchConfig | None,
 ) -> Submap:  # fmt: skip
     """Map some path, and list its pairs of points if it is searched; without, poses that are given are weighed in it.
@@ -75,7 +75,7 @@ def make_submap(
     """
     T, settings = survey.principal_frame(), FieldConfig(leave_out_outliers=False)
     samples = survey.transformed(T.inv())
-    field_map = FieldMap(survey, fit_posterior(samples, numbers, settings), T, settings, T, samples)
+    field_map = FieldMap(survey, fit_posterior(samples, hyperparameters, settings), T, settings, T, samples)
     prepared = prepare(field_map, N_DRAWS, np.random.default_rng(0))
     mean = field_map.posterior.without_factors()
     # Posterior samples are not asked for again.
@@ -100,7 +100,7 @@ def volume_of(submap: Submap) -> float:
 class SubmapMaker:
     """Says what submaps are made of, given hyperparameters that all logs of a place share."""
 
-    numbers: Hyperparameters
+    hyperparameters: Hyperparameters
     squared_gradient: float  # (T/m)^2: the mean along all paths that the hyperparameters are of
     noise: PathNoise
     length: float  # m: over which the field changes
@@ -119,7 +119,7 @@ class SubmapMaker:
     def _shared(self, survey: Survey, node: Indices) -> Shared[Submap]:
         # Whatever else is known of them would be sent in vain.
         survey = replace(survey, times=None, orientations=None)
-        numbers = as_rough_as_here(self.numbers, self.squared_gradient, survey, self.length)
+        hyperparameters = as_rough_as_here(self.hyperparameters, self.squared_gradient, survey, self.length)
         # The noise that is known now tells which pairs of points are listed.
-        about = (survey, node, numbers, self.noise, self.length, self.config.search)
+        about = (survey, node, hyperparameters, self.noise, self.length, self.config.search)
         return Shared(make_submap, about, len(node))

@@ -14,7 +14,7 @@ from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.output.folder import write_folder
 from magmatch.slam.output.kept_session import read_session
-from magmatch.slam.refine.submap import KnownPath
+from magmatch.slam.refine import KnownPath
 from magmatch.slam.run import slam
 from other_process import elsewhere
 

@@ -13,7 +13,7 @@ from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.shared_numbers import shared_numbers
+from magmatch.slam.shared_hyperparameters import shared_hyperparameters
 
 
 def log_ratios(walk: mm.Survey, field: Callable[[np.ndarray], np.ndarray], beside: float) -> list[float]:
@@ -62,7 +62,7 @@ def test_a_walk_that_stands_still_has_numbers():
     positions, field = 1e-4 * rng.standard_normal((60, 3)), rng.normal(4e-5, 1e-6, (60, 3))
     places = begin([mm.Survey(positions, field)], SlamConfig())
     assert places.maker is not None
-    places.maker.numbers.check()
+    places.maker.hyperparameters.check()
 
 
 def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
@@ -71,7 +71,7 @@ def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
     stood = path[:1] + 1e-3 * rng.standard_normal((3000, 3))
     both = np.concatenate([stood, path])
     field = Place(0).field(both) + 2e-7 * rng.standard_normal(both.shape)
-    alone, length, _ = shared_numbers([mm.Survey(path, field[3000:])])
-    numbers, with_standing, _ = shared_numbers([mm.Survey(both, field)])
+    alone, length, _ = shared_hyperparameters([mm.Survey(path, field[3000:])])
+    numbers, with_standing, _ = shared_hyperparameters([mm.Survey(both, field)])
     assert abs(np.log(with_standing / length)) < 0.2
     assert abs(np.log(numbers.lengthscale / alone.lengthscale)) < 0.5
