@@ -80,7 +80,7 @@ def main() -> None:
             (path,), maker = session.paths, session.maker
             assert maker is not None
             for node in range(0, len(path.windows), TOGETHER):
-                survey, nodes, own, noise, length, _ = maker.stretch(path, node).arguments
+                survey, nodes, own, noise, length, _ = maker.piece(path, node).arguments
                 for what, numbers in (("of all paths", maker.hyperparameters), ("its own", own)):
                     index = make_submap(survey, nodes, numbers, noise, length, None).index
                     for apart in BESIDE:

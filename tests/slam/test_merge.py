@@ -16,9 +16,9 @@ from magmatch.geometry import covariance_about, exp_se3, log_se3, random_transfo
 from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging
-from magmatch.slam.graph.doubt import surprises
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.switchable_constraints import surprises
 from magmatch.slam.merge import merge
 from magmatch.slam.result import SlamStatus
 from other_process import elsewhere

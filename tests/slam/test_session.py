@@ -213,7 +213,7 @@ def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path):
     np.testing.assert_allclose([poses[k].translation for k in range(len(poses))], graph.p, atol=1e-12)
     rng = np.random.default_rng(0)
     # Without the maps of several passes, which g2o cannot express.
-    weights = graph.ties.weight / shared(graph)
+    weights = graph.as_arrays.weight / shared(graph)
     for (i, j, numbers), c, counts in zip(edges[len(graph.edges.first) :], graph.closures, weights, strict=True):
         assert (i, j) == (c.first, c.second)
         Z = RigidTransform.from_components(numbers[:3], Rotation.from_quat(numbers[3:7]))
@@ -236,16 +236,16 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     window = next(w for path in places.paths for w in path.windows if w.node == closure.second)
     graph.closures = [c for c in graph.closures if c.second != closure.second or c is closure]
     nodes = np.flatnonzero(graph.log == graph.log[closure.first])
-    assert nodes[graph.is_tied(nodes, window.node)].tolist() == [
+    assert nodes[graph.has_closure(nodes, window.node)].tolist() == [
         n for n in nodes.tolist() if abs(n - closure.first) <= 1
     ]
     others = np.flatnonzero(graph.log == graph.log[closure.second])
-    assert not graph.is_tied(others, window.node).any()
+    assert not graph.has_closure(others, window.node).any()
     (found,) = LoopCloser.of(places, Runner()).search.near([window])
-    assert not {c.node for c in found} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
+    assert not {c.node for c in found} & set(nodes[graph.has_closure(nodes, window.node)].tolist())
 
 
-def test_a_pass_ties_a_window_once(three):
+def test_a_pass_arrays_a_window_once(three):
     """What is weighed again with more windows may favour a node beside the one that is tied: the same evidence."""
     places = three.session.places.copied()
     path = places.paths[1]

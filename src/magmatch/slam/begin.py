@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What logs show before any closure is found: how the field changes, their sensors' biases, and their windows."""
+"""The beginning: how the field changes along the logs, their sensors' biases, and their windows."""
 
 import logging
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ NO_BIAS = (np.zeros(3), np.zeros(3))
 
 
 def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
-    """Settings with what the logs show of themselves: whether they lie level."""
+    """Complete the settings with what the logs show of themselves: whether they lie level."""
     is_level = lie_level(given)
     if config.is_planar and not is_level:
         z = np.concatenate([survey.positions[:, 2] for survey in given])
@@ -42,7 +42,7 @@ def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
 def begin(
     given: Sequence[Survey], config: SlamConfig, anchors: Sequence[tuple[Anchor, int]] = (), n_parts: int = N_PARTS
 ) -> Places:
-    """Logs cut into windows, where odometry has them; how the field changes is learned from so many parts."""
+    """Cut logs into windows, where odometry has them; the field's length is learned from so many parts."""
     if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
         # Nothing tells places apart, and the field has no length.
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)

@@ -61,7 +61,7 @@ class LiveLog:
 
     @property
     def places(self) -> Places | None:
-        """Windows and graph, once enough was walked."""
+        """Windows and graph; None until enough was walked."""
         return None if self._closer is None else self._closer.places
 
     def add(self, t: float, T_odom_body: RigidTransform, field: Any) -> bool:
@@ -91,13 +91,13 @@ class LiveLog:
         return self._closer is not None and self._walk(self._closer)
 
     def survey(self, first: int = 0) -> Survey:
-        """All samples, or those from one on."""
+        """Give all samples, or those from one on."""
         R = Rotation.from_quat(np.array(self._R[first:]))
         p, b, t = (np.array(values[first:]) for values in (self._p, self._b, self._t))
         return Survey(p, b, t, R, name="live")
 
     def pose(self) -> RigidTransform:
-        """Body in the frame of the log's component, after the last sample; odometry's pose until that is known."""
+        """Pose of the body in the frame of the log's component, after the last sample; at first odometry's."""
         if self.places is None or self._path is None:
             return self._T_odom_body
         window = self._path.windows[-1]
@@ -156,7 +156,7 @@ class LiveLog:
         self._n_cut, self._walked, self._here = len(self._t), 0.0, self._p[-1]
 
     def _longer(self, path: Path, places: Places) -> Path:
-        """The path with one window more."""
+        """Give the path with one window more."""
         assert places.maker is not None
         length = places.maker.length
         # With a little of what is known, whose calibration the rest is given.
@@ -205,7 +205,7 @@ class LiveLog:
 
 
 def _joined(before: Survey, after: Survey) -> Survey:
-    """Samples of a log, and those that follow."""
+    """Join the samples of a log and those that follow."""
     assert before.times is not None
     assert after.times is not None
     # One clock, which surveys that are merged need not have.

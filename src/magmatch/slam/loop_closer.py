@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Loop closures: which candidates are believed, and what they teach of noise and drift."""
+"""The closing of loops: candidates that are believed become closures, which teach noise and drift."""
 
 import logging
 from collections.abc import Collection, Sequence
@@ -13,10 +13,10 @@ from magmatch.registration.prepared.walk import MIN_BINS
 from magmatch.runner import Runner
 from magmatch.slam.decide.probable_closures import probable_closures
 from magmatch.slam.decide.shared_frame_odds import log_odds_shared
-from magmatch.slam.graph.doubt import surprise_before
 from magmatch.slam.graph.factors import LEAST_KEPT, Closure
 from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.switchable_constraints import surprise_before
 from magmatch.slam.loop_search import LoopSearch
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate
@@ -41,7 +41,7 @@ class LoopCloser:
 
     @classmethod
     def of(cls, places: Places, run: Runner) -> "LoopCloser":
-        """One that searches as a runner does it."""
+        """Make one whose comparisons a runner does."""
         return cls(places, LoopSearch(places, run))
 
     def close(
@@ -55,7 +55,7 @@ class LoopCloser:
         closures = [
             replace(c, paid=surprise_before(graph, c))
             for c in probable_closures(path, candidates, graph, self.places.paths, least)
-            if c.second not in but and not graph.is_tied(np.array([c.first]), c.second).any()
+            if c.second not in but and not graph.has_closure(np.array([c.first]), c.second).any()
         ]
         lost = [c for c in closures if self._is_lost(c)]
         closures = [c for c in closures if c not in lost]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The search for candidates: where windows may lie on earlier path, and what is known of that already."""
+"""The search for candidates: windows are compared with earlier path, where it was not done before."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -44,18 +44,18 @@ class LoopSearch:
 
     @property
     def maker(self) -> SubmapMaker:
-        """What submaps are made with."""
+        """The maker of submaps."""
         assert self.places.maker is not None
         return self.places.maker
 
     def near(self, windows: Sequence[Window], what: str | None = None) -> list[list[Candidate]]:
-        """Where windows may lie on earlier path, as the graph predicts, but for passes that have closures with it."""
+        """Find where windows may lie on earlier path, as the graph predicts; not on passes that they close with."""
         asked, graph = [], self.places.graph
         for window in windows:
             nodes = self.places.known_to(window)
-            if (graph.ties.second == window.node).sum() >= MOST_PASSES:
+            if (graph.as_arrays.second == window.node).sum() >= MOST_PASSES:
                 nodes = nodes[:0]
-            asked.append(nodes[~graph.is_tied(nodes, window.node)])
+            asked.append(nodes[~graph.has_closure(nodes, window.node)])
         found = self.at(windows, asked, what)
         self.predicted.update(zip((window.node for window in windows), found, strict=True))
         return found
@@ -63,7 +63,7 @@ class LoopSearch:
     def at(
         self, windows: Sequence[Window], nodes: Sequence[Indices], what: str | None = None
     ) -> list[list[Candidate]]:
-        """Where each window may lie near some nodes, of those before it, as the graph predicts.
+        """Find where each window may lie near some earlier nodes, of those that the graph predicts.
 
         None of them waits for what is found of another, so all are compared at once; ``what`` tells progress.
         """
@@ -86,7 +86,7 @@ class LoopSearch:
         return found
 
     def anywhere(self, windows: Sequence[Window], path: Path, what: str | None = None) -> list[list[Candidate]]:
-        """Where windows of a log may lie on unconnected logs, without a prior."""
+        """Find where windows of a log may lie on unconnected logs, without a prior."""
         (whole, volume), noise = self._whole_logs(self.places.others(path)), self.maker.noise
         pairs = [(k, one) for k, w in enumerate(windows) if w.keeps_shape for one in whole]
         found: list[list[Candidate]] = [[] for _ in windows]
@@ -101,7 +101,7 @@ class LoopSearch:
         path = self.places.path(node)
         first = submap_of(node, path.first_node)
         if first not in self._submaps:
-            self._submaps[first] = self.maker.stretch(path, first)
+            self._submaps[first] = self.maker.piece(path, first)
         return self._submaps[first]
 
     def by_submap(self, nodes: Indices, window: Window) -> dict[int, Indices]:
@@ -112,7 +112,7 @@ class LoopSearch:
         return {a: nodes[firsts == a] for a in np.unique(firsts[ends_before]).tolist()}
 
     def votes(self, window: Window, submaps: Sequence[int]) -> dict[int, float]:
-        """How submaps, by their first nodes, vote for a window; none is asked twice.
+        """Votes of submaps, by their first nodes, for a window; none is asked twice.
 
         A vote is the share of the window's pairs of points that agree on one pose there.
         """
@@ -146,7 +146,7 @@ class LoopSearch:
         return [one for _, one, _ in found], float(sum(volume for *_, volume in found))
 
     def repeats(self) -> list[Stretch]:
-        """What windows show where the field was seen before: by closures, and where the graph alone knows that."""
+        """Residuals of windows where the field was seen before: by closures, and where the graph alone knows that."""
         graph = self.places.graph
         pairs = {(c.first, c.second): c.T_first_second for c in graph.closures}
         closed = {second for _, second in pairs}

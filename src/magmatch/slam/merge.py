@@ -36,7 +36,7 @@ from magmatch.typing import Covariance6, Points, Vector3
 log = logging.getLogger(__name__)
 
 # No probability is nearer to one than this: odds stay finite.
-LEAST_DOUBT = 1e-12
+LEAST_ERROR = 1e-12
 # Trees of closures tried for a start.
 N_TREES = 64
 
@@ -137,7 +137,7 @@ def _register_pairs(
 
 
 def _about(field_map: FieldMap, samples: Survey) -> tuple[object, ...]:
-    """What a map follows from, its samples included."""
+    """Content that a map follows from, its samples included."""
     return samples, field_map.config, field_map.hyperparameters, field_map.T_domain_model
 
 
@@ -156,7 +156,7 @@ def _register(base: MapIndex, target: FieldMap, config: RegistrationConfig, seed
 def _closure(a: int, b: int, found: Registered, center_a: Vector3, center_b: Vector3) -> Closure:
     """A registration as a closure between centroids: about its frame's origin, far away, a turn would be a shift."""
     T = RigidTransform.from_translation(-center_a) * found.T_base_target * RigidTransform.from_translation(center_b)
-    p = min(found.probability, 1 - LEAST_DOUBT)
+    p = min(found.probability, 1 - LEAST_ERROR)
     odds = float(np.log(p / (1 - p)))
     return Closure(a, b, T, covariance_about(found.covariance, center_b), odds)
 
@@ -178,25 +178,25 @@ def _unconnected(centers: Points) -> PoseGraph:
 
 
 def _lay_out(graph: PoseGraph) -> None:
-    """Initial poses of the surveys from closures that agree: least squares must start near the solution.
+    """Set initial poses of the surveys by closures that agree: least squares must start near the solution.
 
     Of the spanning tree of the most probable closures and many random ones, the tree with which most closures agree
     is chosen. Starting from a compromise between right and wrong closures, all would seem wrong.
     """
     rng, n = np.random.default_rng(0), len(graph.p)
-    odds = graph.ties.odds
+    odds = graph.as_arrays.odds
     best, most = None, -np.inf
     for k in range(N_TREES if n > 2 else 1):
         order = np.argsort(-odds if k == 0 else rng.permutation(len(odds)), kind="stable")
         poses = _tree(graph, [graph.closures[c] for c in order])
-        # Along a tree errors add up: a tie that closes it is off by those of up to n.
-        doubted = odds - 0.5 * np.maximum(_squares(graph.closures, poses) / n - 6.0, 0.0)
-        if (agreed := float(np.logaddexp(0.0, doubted).sum())) > most:
-            best, most = (poses, doubted), agreed
+        # Along a tree errors add up: a closure outside it is off by those of up to n.
+        log_odds = odds - 0.5 * np.maximum(_squares(graph.closures, poses) / n - 6.0, 0.0)
+        if (agreed := float(np.logaddexp(0.0, log_odds).sum())) > most:
+            best, most = (poses, log_odds), agreed
     if best is not None and graph.closures:
-        poses, doubted = best
+        poses, log_odds = best
         graph.R, graph.p = np.stack([rotation_matrix(T) for T in poses]), np.stack([T.translation for T in poses])
-        graph.weigh_closures(expit(doubted))
+        graph.weigh_closures(expit(log_odds))
 
 
 def _squares(closures: Sequence[Closure], poses: Sequence[RigidTransform]) -> np.ndarray:

@@ -36,7 +36,7 @@ class Places:
     anchors: list[tuple[Anchor, int]] = field(default_factory=list)
 
     def copied(self) -> "Places":
-        """A copy, to continue from without changing this one."""
+        """Copy it, to continue without changing this one."""
         maker = None if self.maker is None else replace(self.maker)
         return Places(list(self.paths), self.graph.copied(), self.stated, maker, list(self.biases), self.anchors)
 

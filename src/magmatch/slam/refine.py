@@ -60,7 +60,7 @@ class JointSubmap:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KnownPath:
-    """Means along the path of a log."""
+    """Means of a log along its path."""
 
     positions: Points  # (n, 3), m: frame of the log's component
     field: Vectors  # (n, 3), T

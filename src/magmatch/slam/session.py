@@ -29,11 +29,11 @@ from magmatch.settings import Settings
 from magmatch.slam.begin import settled
 from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
-from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import most_contradicted
+from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.loop_search import KINDS
@@ -219,7 +219,7 @@ class Session:
 
     @property
     def _now(self) -> Places:
-        """What is known, with the log that is being walked."""
+        """The present state, with the log that is being walked."""
         live = None if self._live is None else self._live.places
         places = live or self.places
         if places is None:
@@ -282,9 +282,9 @@ class Session:
         """The result as a document."""
         names, closures = self.names, self.graph.closures
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
-        ties = [c for c in closures if c.is_kept]
+        kept = [c for c in closures if c.is_kept]
         anchors = self._now.anchors
-        if not ties and not any(log.is_fixed for log in logs):
+        if not kept and not any(log.is_fixed for log in logs):
             status = SlamStatus.UNCHANGED
         else:
             status = SlamStatus.CONNECTED if len(self.components) == 1 else SlamStatus.PARTLY_CONNECTED
@@ -294,8 +294,8 @@ class Session:
             explain(
                 status,
                 groups,
-                len(ties),
-                len(closures) - len(ties),
+                len(kept),
+                len(closures) - len(kept),
                 len(anchors),
                 self._bent(),
                 self._guessed(),
@@ -318,7 +318,7 @@ class Session:
         return [*self.given, *live]
 
     def _bent(self) -> Window | None:
-        """A window, where none keeps its shape."""
+        """One of the windows, if none keeps its shape."""
         windows = [] if self._now.maker is None else [w for p in self.paths for w in p.windows]
         return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
 
@@ -336,14 +336,14 @@ class Session:
         moved = after.positions - T.apply(path.survey.positions)
         nodes = set(path.nodes.tolist())
         is_fixed = self.graph.is_fixed(path.first_node)
-        is_tied = len(self.paths) == 1 or len(self.components[component]) > 1 or is_fixed
+        is_placed = len(self.paths) == 1 or len(self.components[component]) > 1 or is_fixed
         C = self.graph.covariances(path.nodes[-1:])[0]
         if not self.is_rigid:
             C = covariance_of_end(path, C, self.graph.config, from_start=not is_fixed)
         return LogResult(
             self.names[log],
             component,
-            T if is_tied else None,
+            T if is_placed else None,
             float(path.walked[-1]),
             sum(c.is_kept and bool({c.first, c.second} & nodes) for c in self.graph.closures),
             float(np.sqrt((moved**2).sum(axis=1).mean())),
@@ -357,7 +357,7 @@ class Session:
         return self.graph.pose(path.first_node) * RigidTransform.from_translation(-path.windows[0].center)
 
     def standard_deviations(self, nodes: Indices) -> list[tuple[float, float]]:
-        """Of nodes against the first node of their component, or in the frame of the fixed points: m and rad."""
+        """Standard deviations of nodes (m, rad) against their component's first, or in the fixed points' frame."""
         return [_place_and_turn(C) for C in self.graph.covariances(nodes)]
 
     def covariances_of_place(self, nodes: Indices) -> np.ndarray:

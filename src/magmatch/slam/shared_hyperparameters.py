@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hyperparameters shared by all stretches, from short parts of the logs, since drift distorts long ones."""
+"""Hyperparameters shared by all submaps, from short parts of the logs, since drift distorts long ones."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -115,13 +115,13 @@ def _hyperparameters_of(samples: Survey) -> tuple[Hyperparameters, float]:
     return h, correlation_length_of(posterior.evaluate(samples.positions, order=1))
 
 
-def as_rough_as_here(h: Hyperparameters, everywhere: float, stretch: Survey, length: float) -> Hyperparameters:
+def as_rough_as_here(h: Hyperparameters, everywhere: float, piece: Survey, length: float) -> Hyperparameters:
     """Hyperparameters of a submap: beside a calm path it expects a calm field, beside a rough one a rough one.
 
     ``everywhere``: the squared gradient of all paths. Noise is included in both, so that of a field too weak to be
     measured nothing is made.
     """
-    here = squared_gradient([stretch], length)
+    here = squared_gradient([piece], length)
     if min(here, everywhere) <= 0:
         return h
     return replace(h, prior_scale=h.prior_scale * float(np.sqrt(here / everywhere)))

@@ -31,7 +31,7 @@ def unconnected(session):
 
 
 @pytest.fixture(scope="module")
-def tied(three):
+def connected(three):
     """Two logs of one place as slam left them, and what a tie at the second one's first window would say."""
     a, b, _ = three.session.places.paths
 

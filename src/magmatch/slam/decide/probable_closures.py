@@ -76,7 +76,7 @@ def closure_beside(
 
 
 def off_level(config: SlamConfig) -> Covariance6:
-    """Of one node against another: what gravity and one floor leave open of the components that they hold."""
+    """Covariance between two nodes of the components that gravity and one floor hold: how well they hold them."""
     held = np.diag(NODE_COVARIANCE).copy()
     held[config.drifts] = 0.0
     return 2 * np.diag(held)
@@ -136,7 +136,7 @@ def _placed(c: Candidate, graph: PoseGraph) -> Placed:
 
 
 def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
-    """Probability that a window lies on stretches of its component where candidates were found."""
+    """Probability that a window lies on path of its component where candidates were found."""
     return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
 
 

@@ -89,7 +89,7 @@ class Anchor:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """As `NUMBERS` names them."""
+        """Time, coordinates and standard deviation, as `NUMBERS` names them."""
         return (self.t, *self.position.tolist(), self.sd)
 
 
@@ -142,7 +142,7 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
 def in_metres(
     anchors: Sequence[Anchor], origin: tuple[float, float] | None, earlier: Sequence[Anchor] = ()
 ) -> tuple[list[Anchor], tuple[float, float] | None]:
-    """Fixed points with those in degrees as metres east and north of an origin, and that: by default the first.
+    """Convert fixed points in degrees to metres east and north of an origin, given too: by default the first point.
 
     Points in metres, ``earlier`` ones too, have a frame that nothing ties to degrees, unless the origin is stated.
     """
@@ -173,7 +173,7 @@ def of_named(
     names: Sequence[str],
     spans: Sequence[tuple[float, float] | None],
 ) -> list[tuple[Anchor, int]]:
-    """The same of logs that are known by their files' names, by their own, and by their first and last times."""
+    """Fixed points with the log that passed each; logs are given as files' names, their own, and their spans in s."""
     found = []
     for anchor in anchors:
         known = [{name, file, FilePath(file).name} for name, file in zip(names, files, strict=True)]

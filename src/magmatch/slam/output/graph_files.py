@@ -57,7 +57,7 @@ def write_graph(graph: PoseGraph, path: str | Path) -> None:
     edges = [Edge(k, k + 1, *graph.odometry(k)) for k in graph.edges.first.tolist()]
     edges += [
         Edge(c.first, c.second, c.T_first_second, c.covariance / weight)
-        for c, weight in zip(graph.closures, (graph.ties.weight / shared(graph)).tolist(), strict=True)
+        for c, weight in zip(graph.closures, (graph.as_arrays.weight / shared(graph)).tolist(), strict=True)
         if weight > np.finfo(float).eps
     ]
     if graph.fixed is not None:

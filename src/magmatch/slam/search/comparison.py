@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Comparisons of windows with submaps: what is asked, what is known already, and what is found."""
+"""Comparisons of windows with submaps; what an earlier search found there is not searched for again."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Candidate:
 
     @classmethod
     def beside(cls, node: int, match: Match, window: Window, T_submap_node: RigidTransform) -> "Candidate":
-        """A match in a submap, beside a node of which the pose there is given."""
+        """Make one of a match in a submap, beside a node whose pose there is given."""
         return cls(node, product(T_submap_node.inv(), match.T_base_log, window.T_log_node), match)
 
 
@@ -101,7 +101,7 @@ class Searched:
 
 
 def _moved(before: Rough, now: Rough, window: Window) -> Scalars:
-    """By how much the expected pose of a window's node has moved: rotation vector and shift."""
+    """Move of the expected pose of a window's node: rotation vector and shift."""
     T_log_node = window.T_log_node
     return turn_and_shift(product(T_log_node.inv(), before.T_base_log.inv(), now.T_base_log, T_log_node))
 
@@ -134,7 +134,7 @@ class Search:
         return [a for a in self.expected if a not in self.standing]
 
     def comparison(self, a: int, submap: Shared[Submap], noise: PathNoise) -> Task:
-        """Compare the window with one of those, which is given."""
+        """Make the task that compares the window with a submap, which is given by its node and itself."""
         known = [c.match.T_base_log for c in self.searched[a].found] if a in self.searched else None
         return comparison(self.window, submap, self.expected[a], noise, known, self.nodes[a])
 
@@ -166,13 +166,13 @@ def comparison(
     window: Window, submap: Shared[Submap], expected: Expected, noise: PathNoise,
     known: Sequence[RigidTransform] | None = None, nodes: Indices | None = None,
 ) -> Task:  # fmt: skip
-    """`compare` as a task."""
+    """Make a task of `compare`."""
     name = f"the comparison of window {window.node} with a submap"
     return Task(name, (window, submap, expected, noise, known, nodes))
 
 
 def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> bool:
-    """Whether two candidates are one pose beside one pass, which neighbouring stretches led to."""
+    """Whether two candidates are one pose beside one pass, which neighbouring submaps led to."""
     if not graph.is_one_pass(c.node, k.node):
         return False
     T_c, T_k = (product(graph.center(one.node), one.T_node_window) for one in (c, k))

@@ -42,7 +42,7 @@ class Rough:
 
     @property
     def largest_sds(self) -> Scalars:
-        """Of rotation (rad) and of position (m), in the direction least known; (2,)."""
+        """Standard deviations of rotation (rad) and position (m), in the direction least known; (2,)."""
         C = self.covariance + NODE_COVARIANCE
         return np.sqrt([np.linalg.eigvalsh(C[k : k + 3, k : k + 3])[-1] for k in (0, 3)])
 
@@ -58,7 +58,7 @@ Expected = Rough | float
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Match:
-    """A pose of a window in a base."""
+    """A pose of a window in a submap."""
 
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
@@ -78,7 +78,7 @@ def matches(
     known: Sequence[RigidTransform] | None = None,
     nodes: Indices | None = None,
 ) -> list[Match]:
-    """Poses of a window in a base, most likely first.
+    """Poses of a window in a submap, most likely first.
 
     They are refined from poses that are known, where the base was searched before, else from those of a search; and
     from the predicted pose. With some nodes, only from those that lie in their windows.
@@ -163,7 +163,7 @@ def _prior_at(
 
 @lru_cache(maxsize=1)
 def _unrelated(window: Window, noise: PathNoise, *, is_predicted: bool) -> UnrelatedWalk:
-    """The null model of a window: kept while one stretch after the other is compared with it."""
+    """The null model of a window: kept while one submap after the other is compared with it."""
     x, around = window.walk.positions, window.around if is_predicted else None
     return UnrelatedWalk(window.walk, cdist(x, x), noise, window.length, around)
 
@@ -176,7 +176,7 @@ def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
 
 
 def residuals(window: Window, base: Submap, T_base_log: RigidTransform) -> Stretch:
-    """What a window shows where a base knows the field: the material that its noise is learned from."""
+    """Residuals of a window where a submap knows the field: noise is learned from them."""
     prepared, walk = base.index.base, window.walk
     T = prepared.T_map_model.inv() * T_base_log * walk.T_survey_walk
     points = T.apply(walk.positions)
@@ -188,7 +188,7 @@ def residuals(window: Window, base: Submap, T_base_log: RigidTransform) -> Stret
 
 
 def _prior(window: Window, base: Submap, expected: Expected) -> PosePrior:
-    """What is known beforehand, between model frames."""
+    """Prior of the pose between model frames."""
     T_base, T_walk, config = base.index.base.T_map_model, window.walk.T_survey_walk, window.config
     known = PosePriorConfig(
         is_gravity_aligned=config.is_gravity_aligned,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Submaps: stretches of earlier path, each mapped by itself and prepared for the search of windows in it."""
+"""Submaps: pieces of earlier path, each mapped by itself and prepared for the search of windows in it."""
 
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -60,7 +60,7 @@ class Submap:
         return np.isin(self.nodes_near(points), nodes)
 
     def with_noise(self, noise: PathNoise) -> "Submap":
-        """The submap where walks have other noise."""
+        """Give the submap where walks have other noise."""
         return replace(self, index=replace(self.index, noise=noise))
 
 
@@ -98,7 +98,7 @@ def volume_of(submap: Submap) -> float:
 
 @dataclass(eq=False, slots=True)
 class SubmapMaker:
-    """Says what submaps are made of, given hyperparameters that all logs of a place share."""
+    """Says what submaps are made of, by hyperparameters that all logs of a place share."""
 
     hyperparameters: Hyperparameters
     squared_gradient: float  # (T/m)^2: the mean along all paths that the hyperparameters are of
@@ -106,14 +106,14 @@ class SubmapMaker:
     length: float  # m: over which the field changes
     config: SlamConfig
 
-    def stretch(self, path: Path, node: int) -> Shared[Submap]:
-        """The submap for the windows of two nodes, of which the first is given: they and one more on either side."""
+    def piece(self, path: Path, node: int) -> Shared[Submap]:
+        """Submap of the windows of two nodes, of which the first is given, with one more on either side."""
         first, last = np.searchsorted(path.number, np.array([node - 1, node + TOGETHER + 1]) - path.first_node)
         rows = np.arange(first, last)
         return self._shared(path.survey.subset(rows), path.nodes[path.number[rows]])
 
     def whole(self, path: Path, graph: PoseGraph) -> Shared[Submap]:
-        """A whole log, as the graph has it now."""
+        """Submap of a whole log, as the graph has it now."""
         return replace(self._shared(corrected(path, graph), path.nodes[path.number]), is_everywhere=True)
 
     def _shared(self, survey: Survey, node: Indices) -> Shared[Submap]:
