@@ -79,7 +79,7 @@ def test_what_has_enough_closures_is_not_compared_any_more(lone):
 
 
 def confirm(places, closures):
-    path, closer = places.paths[0], LoopCloser.of(places, Runner())
+    path, closer = places.paths[0], LoopCloser(places, Runner())
     return closer.confirm(path.windows, path.nodes, closures, {c.second: NOWHERE for c in closures})
 
 
@@ -119,7 +119,7 @@ def test_closures_that_agree_are_believed_against_odometry_even_if_each_was_doub
     places.solve()
     assert len(graph.closures) > 2
     assert all(c.is_kept for c in graph.closures)
-    LoopCloser.of(places, Runner()).learn_drift()
+    LoopCloser(places, Runner()).learn_drift()
     assert all(c.is_kept for c in places.graph.closures)
 
 

@@ -241,7 +241,7 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     ]
     others = np.flatnonzero(graph.log == graph.log[closure.second])
     assert not graph.has_closure(others, window.node).any()
-    (found,) = LoopCloser.of(places, Runner()).search.near([window])
+    (found,) = LoopCloser(places, Runner()).search.near([window])
     assert not {c.node for c in found} & set(nodes[graph.has_closure(nodes, window.node)].tolist())
 
 
@@ -255,7 +255,7 @@ def test_a_pass_arrays_a_window_once(three):
         T = places.graph.pose(first).inv() * places.graph.pose(closure.first) * closure.T_first_second
         sure = Match(here, closure.covariance, 12.0, -2.0, here, closure.covariance)
         candidates = [[Candidate(first, T, sure)] if n == closure.second else [] for n in path.nodes]
-        assert LoopCloser.of(places, Runner()).close(path, candidates) == 0
+        assert LoopCloser(places, Runner()).close(path, candidates) == 0
 
 
 def test_samples_that_follow_no_path_are_refused_before_any_work():

@@ -41,7 +41,7 @@ class LiveLog:
 
     def __init__(self, config: SlamConfig, places: Places | None) -> None:
         self.config, self._run = config, Runner()
-        self._closer = None if places is None else LoopCloser.of(places.copied(), self._run)
+        self._closer = None if places is None else LoopCloser(places.copied(), self._run)
         self._t: list[float] = []
         self._p: list[Vector3] = []
         self._R: list[np.ndarray] = []
@@ -125,7 +125,7 @@ class LiveLog:
             is_long = len(places.paths[0].windows) >= N_PARTS and places.maker.length < LONGER * known
             self._next_field = np.inf if is_long else 2 * n_moved
             self._next_look = len(survey) + self._next_field - n_moved
-            self._closer, self._path, self._near = LoopCloser.of(places, self._run), places.paths[0], []
+            self._closer, self._path, self._near = LoopCloser(places, self._run), places.paths[0], []
             close_near(self._closer, [self._path])
             self._next_noise = PRIOR_STRETCHES
             self._learn_noise(self._closer)

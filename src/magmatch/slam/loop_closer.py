@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import logit
@@ -32,17 +32,11 @@ SURE_ODDS = float(logit(SURE))
 MAPS_OWN = ("map_factor", "map_length")
 
 
-@dataclass(eq=False, slots=True)
 class LoopCloser:
-    """Adds closures to a graph, and solves with them."""
+    """Adds closures to a graph, and solves with them; a runner does the comparisons."""
 
-    places: Places
-    search: LoopSearch
-
-    @classmethod
-    def of(cls, places: Places, run: Runner) -> "LoopCloser":
-        """Make one whose comparisons a runner does."""
-        return cls(places, LoopSearch(places, run))
+    def __init__(self, places: Places, run: Runner) -> None:
+        self.places, self.search = places, LoopSearch(places, run)
 
     def close(
         self, path: Path, candidates: list[list[Candidate]], but: Collection[int] = (), least: float = LEAST_KEPT

@@ -7,6 +7,7 @@ Passes of one log only: where several sensors contradict each other, a map of al
 """
 
 import logging
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -33,14 +34,12 @@ from magmatch.slam.search.comparison import Candidate, Found, compare
 from magmatch.slam.search.loop_closure import SAME_SHIFT, Expected
 from magmatch.slam.search.predicted import SURE, expected_beside
 from magmatch.slam.search.submaps import make_submap
-from magmatch.slam.windows import Path, Window, in_runs
+from magmatch.slam.windows import Path, Window
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
-# Windows compared at once: an interrupted run repeats no more, and as many workers have work.
-AT_ONCE = 32
 # Field lengths from a window's path beyond which the field there tells it nothing.
 SUBMAP_REACH = 2.0
 # Standard deviation, in field lengths, of a sample's weight by its distance from the window's path.
@@ -152,20 +151,21 @@ def refine(places: Places, paths: Sequence[Path], run: Runner) -> None:
 
 def _factors(places: Places, path: Path, run: Runner, *, later: bool) -> Iterator[SubmapFactor]:
     """Factors of a log's windows with its earlier passes, or with its later ones."""
-    known, graph, maker = KnownPath.of(path, places.graph), places.graph, places.maker
-    assert maker is not None
-    windows = [window for window in path.windows if window.keeps_shape]
-    what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
-    for some in counted(what, in_runs(windows, AT_ONCE)):
-        submaps = [known.submap(window, graph, later=later) for window in some]
-        asked = [(window, submap) for window, submap in zip(some, submaps, strict=True) if submap is not None]
-        tasks = [_comparison(window, submap, places, known.n_averaged) for window, submap in asked]
-        for (window, submap), found in zip(asked, run(compare_with_passes, tasks), strict=True):
-            if found:
-                best, match = submap.best_known, found[0][1]
-                candidate = Candidate.beside(best, match, window, graph.center(best))
-                if (factor := submap_factor(candidate, window.node, submap, graph, path)) is not None:
-                    yield factor
+    known, graph, asked = KnownPath.of(path, places.graph), places.graph, deque[tuple[Window, JointSubmap]]()
+
+    def tasks() -> Iterator[Task]:
+        what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
+        for window in counted(what, [window for window in path.windows if window.keeps_shape]):
+            if (submap := known.submap(window, graph, later=later)) is not None:
+                asked.append((window, submap))
+                yield _comparison(window, submap, places, known.n_averaged)
+
+    for found in run(compare_with_passes, tasks()):
+        window, submap = asked.popleft()
+        if found:
+            candidate = Candidate.beside(submap.best_known, found[0][1], window, graph.center(submap.best_known))
+            if (factor := submap_factor(candidate, window.node, submap, graph, path)) is not None:
+                yield factor
 
 
 def _comparison(window: Window, submap: JointSubmap, places: Places, n_averaged: float) -> Task:

@@ -8,8 +8,7 @@ and open others, for some rounds. In the end each window is placed on one map of
 """
 
 from collections.abc import Sequence
-
-import numpy as np
+from math import inf
 
 from magmatch.data.survey import Survey
 from magmatch.progress import counted
@@ -44,7 +43,7 @@ def correct(
         places = begin(logs, config, anchors)
     if places.maker is None:
         return places  # the field is constant
-    closer = LoopCloser.of(places, run)
+    closer = LoopCloser(places, run)
     with clock("noise"):
         close_near(closer, places.paths, enough=ENOUGH, least=SURE)
         closer.learn_noise()
@@ -63,7 +62,7 @@ def correct_more(
     """Correct more logs with the known hyperparameters; closures between earlier logs are kept."""
     places = earlier.copied()
     places.anchors = [*places.anchors, *anchors]
-    closer = LoopCloser.of(places, run)
+    closer = LoopCloser(places, run)
     with clock("closures"):
         places.solve()
         for survey in logs:
@@ -82,12 +81,7 @@ def close_all(closer: LoopCloser, logs: Sequence[Path]) -> None:
 
 
 def close_near(
-    closer: LoopCloser,
-    logs: Sequence[Path],
-    enough: float = np.inf,
-    least: float = LEAST_KEPT,
-    *,
-    again: bool = False,
+    closer: LoopCloser, logs: Sequence[Path], enough: float = inf, least: float = LEAST_KEPT, *, again: bool = False
 ) -> int:
     """Close loops where the graph predicts them, until there are enough; returns how many.
 
@@ -101,6 +95,7 @@ def close_near(
         n = len(path.windows) if again else path.windows[0].config.run_length
         candidates: list[list[Candidate]] = []
         for windows in counted(what, in_runs(path.windows, n)):
+            # Predict, search, compare; then what the windows agree on closes loops, with which the graph is solved.
             candidates += closer.search.near(windows, what if again else None)
             first = max(len(candidates) - 2 * n, 0)
             found += closer.close(path.only(slice(first, len(candidates))), candidates[first:], least=least)

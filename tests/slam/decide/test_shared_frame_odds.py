@@ -74,7 +74,7 @@ def test_a_stranger_that_one_window_takes_for_known_path_is_not_connected(three)
     candidates = [[] for _ in stranger.windows]
     candidates[0] = [Candidate(a.first_node + 1, RigidTransform.identity(), said)]
     before = places.graph.p.copy()
-    closer = LoopCloser.of(places, Runner())
+    closer = LoopCloser(places, Runner())
     assert closer.connect(stranger, candidates) == 0
     np.testing.assert_array_equal(places.graph.p, before)
     assert not places.graph.closures
@@ -90,6 +90,6 @@ def test_a_log_of_the_same_place_is_connected_by_one_window_too(three):
     said = Match(HERE, sure.covariance, 12.0, NOWHERE, HERE, sure.covariance)
     candidates = [[] for _ in b.windows]
     candidates[sure.second - b.first_node] = [Candidate(sure.first, sure.T_first_second, said)]
-    found = LoopCloser.of(places, Runner()).connect(b, candidates)
+    found = LoopCloser(places, Runner()).connect(b, candidates)
     assert found > 1  # the windows beside it close as well
     assert places.graph.closures[0].first == sure.first
