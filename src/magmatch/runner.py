@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from threading import Lock
 from time import monotonic
@@ -72,6 +72,10 @@ class Shared(Generic[T]):
     def key(self) -> str:
         """SHA-256 that stands for it."""
         return key_of(self.make, self.arguments if self.about is None else self.about)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Who receives it knows it by its key, which is computed once.
+        return self.__dict__ | {"key": self.key, "about": None}
 
 
 class Runner:
@@ -139,8 +143,10 @@ class Runner:
 
     def _elsewhere(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         assert self._workers is not None
-        sent = (replace(task, about=None, affinity=self._affinity(task)) for task in tasks)
-        yield from self._workers(partial(_run, function), sent)
+        # Workers are started for the first task, not for none.
+        for first in tasks:
+            sent = (replace(task, about=None, affinity=self._affinity(task)) for task in chain([first], tasks))
+            yield from self._workers(partial(_run, function), sent)
 
     def _affinity(self, task: Task) -> int | None:
         """Tasks that share an argument have one number: by the order in which these were first asked for."""

@@ -39,7 +39,7 @@ def start(*words):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills with a POSIX signal")
 def test_a_killed_run_goes_on_and_gives_the_same_bits(tmp_path):
-    drifting_walk(Place(1), 1, laps=1.2)[0].save(tmp_path / "walk.csv")
+    drifting_walk(Place(1), 1)[0].save(tmp_path / "walk.csv")
     whole = start("slam", tmp_path / "walk.csv", "--out", tmp_path / "whole")
     said = whole.communicate()[1]
     assert whole.returncode == 0, said

@@ -245,7 +245,7 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     assert not {c.node for c in found} & set(nodes[graph.has_closure(nodes, window.node)].tolist())
 
 
-def test_a_pass_arrays_a_window_once(three):
+def test_a_pass_closes_with_a_window_once(three):
     """What is weighed again with more windows may favour a node beside the one that is tied: the same evidence."""
     places = three.session.places.copied()
     path = places.paths[1]

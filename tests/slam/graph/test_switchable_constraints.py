@@ -68,7 +68,7 @@ def test_how_the_rest_of_the_graph_sees_a_closure_is_how_the_graph_without_it_do
     assert seen[1] == pytest.approx(seen[0], rel=0.03)
 
 
-def test_a_closure_between_logs_that_nothing_else_arrays_surprises_nobody():
+def test_a_closure_between_logs_that_nothing_else_connects_surprises_nobody():
     graph = graph_of(TRUE, LEVEL, logs=np.repeat([0, 1], 12))
     closure = between(TRUE + np.array([3.0, 0.0, 0.0]), 2, 14)
     assert surprise_before(graph, closure) == 0.0
