@@ -25,7 +25,7 @@ from magmatch.store import load, naming, save
 SESSION, SCHEMA = "session.state", "magmatch.slam.session/8"
 KINDS = (Anchor, Closure, Hyperparameters, PathNoise, SubmapFactor)
 # What else could be read, and used, as another class.
-EXPECTED = {"numbers": Hyperparameters, "noise": PathNoise, "length": float, "squared_gradient": float}
+EXPECTED = {"hyperparameters": Hyperparameters, "noise": PathNoise, "length": float, "squared_gradient": float}
 EXPECTED_OF_EACH = {"closures": Closure, "submap_factors": SubmapFactor}
 
 
