@@ -122,10 +122,10 @@ def test_the_content_of_arguments_tells_tasks_apart_and_nothing_else_does():
         key_of(double, (object(),))
 
 
-def test_another_version_believes_nothing(tmp_path, monkeypatch):
+def test_another_program_believes_nothing(tmp_path, monkeypatch):
     values = [np.eye(2)]
     run_all(double, tasks_of(values), tmp_path / "kept")
-    monkeypatch.setattr(module, "__version__", "another")
+    monkeypatch.setattr(module, "program", lambda: "another")
     run_all(double, tasks_of(values), tmp_path / "kept")
     assert len(done) == 2
 

@@ -2,7 +2,6 @@
 """What is saved comes back to the bit, or is refused in one line that names the file, however it was damaged."""
 
 import errno
-import hashlib
 import json
 import os
 import signal
@@ -15,9 +14,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from crafted import apart, sealed, together
 from magmatch import store
 from magmatch.errors import DataFormatError
-from magmatch.store import START, dumps, load, loads, open_stored, save
+from magmatch.store import dumps, expect, load, loads, open_stored, save
 
 SCHEMA = "test/1"
 Pair = namedtuple("Pair", "a b")
@@ -45,6 +45,7 @@ def tree():
         "rows": ROWS,
         "shared": (SHARED, SHARED),
         "T": T,
+        "R": Rotation.random(3, rng=np.random.default_rng(0)),
         "nouns": (Noun(np.ones(2), "a", (Pair(1, SHARED),)),),
     }
 
@@ -54,6 +55,8 @@ def is_same(a, b):
         same = (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes())
     elif isinstance(a, RigidTransform):
         same = np.array_equal(a.as_matrix(), b.as_matrix())
+    elif isinstance(a, Rotation):
+        same = np.array_equal(a.as_quat(), b.as_quat())
     elif isinstance(a, dict):
         same = [*a] == [*b] and all(is_same(a[key], b[key]) for key in a)
     elif isinstance(a, list | tuple):
@@ -146,22 +149,11 @@ def test_every_cut_and_every_longer_file_is_refused(tmp_path):
     assert "begins with nothing" in refusal(b"", tmp_path / "a")
 
 
-def crafted(change, data=None, content=None):
-    """A file with another header whose digests fit, as an attacker would write it."""
-    n = 8 + int.from_bytes(SMALL[:8], "little")
-    header, data = json.loads(SMALL[8:n]), SMALL[n:] if data is None else data
-    about = header.pop("__metadata__")
-    del about["sha256"]
-    about["data"] = hashlib.sha256(data).hexdigest()
-    if content is not None:
-        about["content"] = content if isinstance(content, str) else json.dumps(content)
+def crafted(change, content=None):
+    """The small file with another header or content."""
+    about, header, was, data = apart(SMALL)
     change(header, about)
-    return sealed(b'",' + json.dumps(about)[1:].encode() + b"," + json.dumps(header)[1:].encode(), data)
-
-
-def sealed(rest, data=b""):
-    head = START + hashlib.sha256(rest).hexdigest().encode() + rest
-    return len(head).to_bytes(8, "little") + head + data
+    return together(about, header, was if content is None else content, data)
 
 
 def entry(**changes):
@@ -193,6 +185,8 @@ HOSTILE = {
     "two kinds": (crafted(lambda _h, _a: 0, content={"x": {"$Noun": {}, "y": 1}}), "holds a Noun"),
     "a transform that is none": (crafted(lambda _h, _a: 0, content={"T": {"$transform": [[1]]}}), "4x4"),
     "a number that is none": (crafted(lambda _h, _a: 0, content={"T": {"$number": "x"}}), "could not convert"),
+    "a rotation that is none": (crafted(lambda _h, _a: 0, content={"T": {"$rotation": [[1, 2, 3, 4]]}}), "unit quat"),
+    "a rotation of a word": (crafted(lambda _h, _a: 0, content={"T": {"$rotation": "x"}}), ""),
     "rows of objects": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "O"]], [4]]}}), "of numbers"),
     "rows of another width": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "S3"]], [4]]}}), "size"),
     "an entry that is a word": (crafted(lambda h, _a: h.update(x="y")), "indices"),
@@ -238,6 +232,19 @@ def test_what_is_no_tree_of_numbers_is_not_written(value, tmp_path):
     with pytest.raises(TypeError, match="'a"):
         save(tmp_path / "a", SCHEMA, {"a": [value]})
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_expected_of_a_tree_is_named():
+    content = {"a": 1, "b": [1.0, 2.0], "c": None}
+    expect(content, a=int, b=[float], c=(str, type(None)))
+    with pytest.raises(TypeError, match="entry 'a': expected str, found 1"):
+        expect(content, a=str)
+    with pytest.raises(TypeError, match="entry 'b': expected int, found 1"):
+        expect(content, b=[int])
+    with pytest.raises(TypeError, match="entry 'c': expected int or str, found None"):
+        expect(content, c=(int, str))
+    with pytest.raises(KeyError, match="d"):
+        expect(content, d=int)
 
 
 def test_keys_that_join_to_the_same_name_keep_their_own_arrays():

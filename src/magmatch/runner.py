@@ -5,7 +5,7 @@
         for result in run(compare, tasks, "comparing windows"): ...
 
 A result depends on the arguments of its task alone. So it is the same to the bit wherever and in whatever order tasks
-run, and the SHA-256 of function, arguments and version stands for it: a run that was cut off finds what it kept by
+run, and the SHA-256 of function, arguments and program stands for it: a run that was cut off finds what it kept by
 that, and an input that has changed finds nothing.
 """
 
@@ -15,7 +15,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import chain, islice
 from pathlib import Path
 from threading import Lock
@@ -216,10 +216,17 @@ class Memo:
 
 
 def key_of(function: Callable[..., Any], about: Sequence[Any]) -> str:
-    """SHA-256 of a function's name, the content of its arguments and this program's version."""
-    digest = hashlib.sha256(__version__.encode())
+    """SHA-256 of a function's name, the content of its arguments, and the program."""
+    digest = hashlib.sha256(program().encode())
     _feed(digest, (function, *about))
     return digest.hexdigest()
+
+
+@cache
+def program() -> str:
+    """SHA-256 of the program's version and text: whatever is changed in it may change what it finds."""
+    texts = sorted(path.read_bytes() for path in Path(__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join([__version__.encode(), *texts])).hexdigest()
 
 
 # What stands for values of some kinds.

@@ -4,8 +4,8 @@
     save("hall.map", "magmatch.map/3", {"name": "hall", "surveys": [{"positions": positions}]})
     load("hall.map", "magmatch.map/3")["surveys"][0]["positions"]
 
-The tree consists of dicts with words as keys, lists, tuples, numbers, words, None, NumPy arrays, single
-`RigidTransform` and, where a reader names them in `kinds`, dataclasses and named tuples. All come back to the bit, an
+The tree consists of dicts with words as keys, lists, tuples, numbers, words, None, NumPy arrays, a `RigidTransform`
+or `Rotation` and, where a reader names them in `kinds`, dataclasses and named tuples. All come back to the bit, an
 array that stands in two places as one array. The same tree gives the same bytes; a file is written whole or not at
 all, and whatever is damaged in it is one `DataFormatError`.
 
@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch._version import __version__
 from magmatch.atomic import atomic_write
@@ -40,6 +40,7 @@ from magmatch.geometry import transform_from_matrix
 MAX_BYTES = 2 << 30
 # Some 200 bytes for each of 300,000 arrays.
 MAX_HEADER = 64 << 20
+UNIT_QUATERNION_TOLERANCE = 1e-9
 START = STORED + b'":{"sha256":"'
 HEX = 64
 # Behind the header's length, its start, and the digest.
@@ -144,6 +145,18 @@ def naming(path: str | Path) -> Iterator[None]:
     except (ValueError, TypeError, OverflowError, AttributeError, IndexError, RecursionError) as error:
         words = " ".join(str(error).split())[:500] or type(error).__name__
         raise DataFormatError(path, words) from None
+
+
+def expect(content: Mapping[str, Any], **kinds: type | tuple[type, ...] | list[type]) -> None:
+    """Raise an error unless a tree has these entries, each of its class, or a list of such."""
+    for name, kind in kinds.items():
+        values = list(content[name]) if isinstance(kind, list) else [content[name]]
+        one = kind[0] if isinstance(kind, list) else kind
+        for value in values:
+            if not isinstance(value, one):
+                words = one.__name__ if isinstance(one, type) else " or ".join(each.__name__ for each in one)
+                msg = f"entry '{name}': expected {words}, found {value!r:.60}"
+                raise TypeError(" ".join(msg.split()))
 
 
 def _parts(schema: str, content: Mapping[str, Any]) -> list[Any]:
@@ -271,6 +284,8 @@ def _frozen_object(value: Any, name: str, found: dict[int, tuple[str, np.ndarray
         return _frozen_array(value, name, found)
     if isinstance(value, RigidTransform):
         return {"$transform": _frozen(value.as_matrix(), name, found)}
+    if isinstance(value, Rotation):
+        return {"$rotation": _frozen(value.as_quat(), name, found)}
     if type(value) is tuple:
         return {"$tuple": _frozen(list(value), name, found)}
     names = getattr(value, "_fields", [f.name for f in fields(value) if f.init] if is_dataclass(value) else None)
@@ -303,7 +318,8 @@ def _frozen_array(value: np.ndarray, name: str, found: dict[int, tuple[str, np.n
 def _thawed(words: str, arrays: dict[str, np.ndarray], kinds: Kinds) -> Any:
     """Undo `_frozen`."""
     makers: dict[str, Callable[[Any], Any]] = {
-        "$number": float, "$array": arrays.__getitem__, "$transform": transform_from_matrix, "$tuple": tuple,
+        "$number": float, "$array": arrays.__getitem__, "$transform": transform_from_matrix,
+        "$rotation": _rotation, "$tuple": tuple,
         "$rows": lambda about: _rows(arrays, *about),
     }  # fmt: skip
     makers |= {f"${kind.__name__}": partial(_made, kind) for kind in kinds}
@@ -322,6 +338,14 @@ def _thawed(words: str, arrays: dict[str, np.ndarray], kinds: Kinds) -> Any:
 
 def _made(kind: Callable[..., Any], values: dict[str, Any]) -> Any:
     return kind(**values)
+
+
+def _rotation(quaternions: np.ndarray) -> Rotation:
+    if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1, rtol=0, atol=UNIT_QUATERNION_TOLERANCE):
+        msg = "expected unit quaternions"
+        raise ValueError(msg)
+    # To normalise once more would change their last bits.
+    return Rotation(quaternions, normalize=False)
 
 
 def _rows(arrays: dict[str, np.ndarray], name: str, descr: list[Any], shape: list[int]) -> np.ndarray:

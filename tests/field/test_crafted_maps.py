@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A map made to deceive, with digests that fit, is refused in one line that names the entry."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,8 +11,10 @@ from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.linear_model import StoredTile
 from magmatch.field.map import FieldMap
-from magmatch.field.saved_map import SCHEMA, MapRecord
+from magmatch.field.saved_map import SCHEMA
 from magmatch.field.tiles.tile_fit import FitError
 from magmatch.store import load, save
 
@@ -43,82 +47,90 @@ def refusal(path):
     return message
 
 
+KINDS = (Hyperparameters, StoredTile, Survey)
+
+
 def repack(path, change, schema=SCHEMA):
     """Change the content of a map and write it again, as an attacker would."""
-    content = load(path, SCHEMA)
+    content = load(path, SCHEMA, KINDS)
     change(content)
     save(path, schema, content)
     return path
 
 
-def put(*keys_and_value):
-    """Change one value of the content."""
-    *keys, last, value = keys_and_value
+def put(name, value):
+    return lambda content: content.__setitem__(name, value)
+
+
+def survey(**changes):
+    """Change what the only survey holds, unchecked."""
+    return lambda content: [object.__setattr__(content["surveys"][0], *change) for change in changes.items()]
+
+
+def number(name, at, value, of="surveys"):
+    """Change one number of an array of samples."""
 
     def change(content):
-        for key in keys:
-            content = content[key]
-        content[last] = value
+        samples = content[of] if of == "fitted_samples" else content[of][0]
+        getattr(samples, name).reshape(-1)[at] = value
 
     return change
 
 
-def drop(*keys):
-    *keys, last = keys
-
+def tile(index=(0, 0, 0), **changes):
     def change(content):
-        for key in keys:
-            content = content[key]
-        del content[last]
+        ((_, one),) = content["tiles"]
+        content["tiles"] = [(index, replace(one, **changes))]
 
     return change
 
 
-def number(name, at, value):
-    """Change one number of an array of the only survey."""
-    return lambda content: content["surveys"][0][name].reshape(-1).__setitem__(at, value)
+def numbers(**changes):
+    """Change hyperparameters; None leaves one out."""
+    return lambda c: c.update(hyperparameters=replace(c["hyperparameters"], **changes))
 
 
 CRAFTED = {
-    "an entry missing": (drop("surveys"), "entry 'surveys' is missing"),
-    "an array missing": (drop("surveys", 0, "field"), "entry 'field' is missing"),
-    "surveys a number": (put("surveys", 1), "entry 'surveys': expected a list"),
-    "no surveys": (put("surveys", []), "entry 'surveys': expected a list"),
-    "a survey a number": (put("surveys", 0, 1), "not subscriptable"),
-    "an array of whole numbers": (put("surveys", 0, "times", np.arange(60)), "'surveys.0.times': expected an array"),
-    "times empty and endless": (
-        put("surveys", 0, "times", np.zeros((0, 2**31))),
-        "entry 'surveys.0.times': expected an array of shape (n,), found (0, 2147483648)",
+    "an entry missing": (lambda c: c.pop("surveys"), "entry 'surveys' is missing"),
+    "an entry too many": (put("colour", 1), "unexpected keyword argument 'colour'"),
+    "surveys a number": (put("surveys", 1), "not iterable"),
+    "surveys of numbers": (put("surveys", [1]), "entry 'surveys': expected Survey, found 1"),
+    "no surveys": (put("surveys", ()), "fitted samples"),
+    "words as times": (survey(times="x"), "times"),
+    "times empty and endless": (survey(times=np.zeros((0, 2**31))), "times"),
+    "positions of four columns": (survey(positions=np.zeros((60, 4))), "shape (60, 4)"),
+    "positions flat": (survey(positions=np.zeros(60)), "shape (60,)"),
+    "fewer samples in the model": (
+        put("fitted_samples", Survey(np.zeros((9, 3)), np.ones((9, 3)))),
+        "as many fitted",
     ),
-    "positions of four columns": (put("surveys", 0, "positions", np.zeros((60, 4))), "shape (n, 3), found (60, 4)"),
-    "positions flat": (put("surveys", 0, "positions", np.zeros(60)), "'surveys.0.positions': expected an array"),
-    "positions a list": (put("surveys", 0, "positions", [[0.0] * 3] * 60), "shape (n, 3), found list"),
-    "fewer samples in the model": (put("surveys", 0, "model_positions", np.zeros((9, 3))), "as many samples as in"),
     "position NaN": (number("positions", 0, np.nan), "expected finite positions"),
     "field infinite": (number("field", 5, np.inf), "expected finite field"),
-    "orientation not unit": (number("orientations", 0, 3.0), "expected unit quaternions"),
-    "position of the model changed": (number("model_positions", 4, 0.3), "gives another field"),
-    "field of the model changed": (number("model_field", 4, 3e-5), "gives another field"),
-    "no tile": (put("tiles", []), "entry 'weights': expected an array"),
-    "a tile of words": (put("tiles", 0, 0, "0"), "entry 'tiles': expected the three indices"),
-    "a tile cut short": (put("tiles", 0, [0, 0, 0]), "not enough values to unpack"),
-    "weights of a tile missing": (put("tiles", 0, 4, None), "entry 'tile 0.0.0': expected an array"),
-    "weight of a tile NaN": (put("tiles", 0, 4, np.full(3, np.nan)), "expected finite tile 0.0.0"),
-    "fingerprint changed": (put("tiles", 0, 3, "x"), "gives another field"),
-    "fingerprint a number": (put("tiles", 0, 3, 1), "the fingerprint"),
-    "transform a word": (put("T_map_model", "I"), "entry 'T_map_model': expected a rigid transform, found 'I'"),
-    "prior unknown": (put("config", "prior", "magic"), "config.prior"),
-    "setting unknown": (put("config", "colour", 1), "config.colour"),
-    "number missing": (put("hyperparameters", {}), "hyperparameters': expected"),
-    "number unknown": (put("hyperparameters", "colour", 1), "expected numbers"),
-    "number a word": (put("hyperparameters", "spacing", "x"), "expected numbers"),
-    "noise zero": (put("hyperparameters", "noise_sd", 0), "expected positive"),
-    "noise NaN": (put("hyperparameters", "noise_sd", np.nan), "expected positive"),
-    "divergence weight negative": (put("hyperparameters", "stiffness", -1), "divergence weight that is not negative"),
-    "reach without end": (put("hyperparameters", "reach", 2000), "at most 32"),
-    "nodes beyond counting": (put("hyperparameters", "spacing", 1e-9), "too large for a spacing"),
-    "name a number": (put("surveys", 0, "name", 1), "expected frame and name"),
-    "accuracy negative": (put("surveys", 0, "pose_sd", -1), "frame and name in"),
+    "orientations an array": (survey(orientations=np.zeros((60, 4))), "orientations: expected Rotation"),
+    "position of the model changed": (number("positions", 4, 0.3, "fitted_samples"), "gives another field"),
+    "field of the model changed": (number("field", 4, 3e-5, "fitted_samples"), "gives another field"),
+    "no tile": (put("tiles", []), "the weights of tiles or all weights"),
+    "a tile of words": (tile(("0", 0, 0)), "entry 'tile 0.0.0': expected the weights of one tile"),
+    "a tile of two indices": (tile((0, 0)), "with three indices"),
+    "a tile that is none": (put("tiles", [((0, 0, 0), 1)]), "expected the weights of one tile"),
+    "tiles of numbers": (put("tiles", [1]), "entry 'tiles': expected tuple, found 1"),
+    "weights of a tile missing": (tile(weights=None), "no attribute 'dtype'"),
+    "weights of a tile whole numbers": (tile(weights=np.arange(9)), "entry 'tile 0.0.0': expected finite numbers"),
+    "weight of a tile NaN": (tile(weights=np.full(3, np.nan)), "entry 'tile 0.0.0': expected finite numbers"),
+    "fingerprint changed": (tile(fingerprint="x"), "gives another field"),
+    "fingerprint a number": (tile(fingerprint=1), "gives another field"),
+    "transform a word": (put("T_map_model", "I"), "entry 'T_map_model': expected RigidTransform, found 'I'"),
+    "prior unknown": (lambda c: c["config"].update(prior="magic"), "config.prior"),
+    "setting unknown": (lambda c: c["config"].update(colour=1), "config.colour"),
+    "numbers of a dict": (put("hyperparameters", {}), "expected Hyperparameters, found {}"),
+    "number a word": (numbers(spacing="x"), "expected plain numbers"),
+    "noise zero": (numbers(noise_sd=0), "expected positive"),
+    "noise NaN": (numbers(noise_sd=np.nan), "expected positive"),
+    "divergence weight negative": (numbers(divergence_weight=-1.0), "divergence weight that is not negative"),
+    "reach without end": (numbers(reach=2000), "at most 32"),
+    "nodes beyond counting": (numbers(spacing=1e-9), "too large for a spacing"),
+    "name a number": (survey(name=1), "name: expected str"),
+    "accuracy negative": (survey(pose_sd=-1), "pose_sd"),
 }
 
 
@@ -129,19 +141,13 @@ def test_crafted_map_with_fitting_digests_is_refused(saved, case):
 
 
 def test_weights_that_are_not_the_samples_own_are_refused_once_they_are_used_for_a_covariance(saved):
-    field_map = FieldMap.load(repack(saved, lambda c: c["tiles"][0][4].fill(1e-5)))
+    field_map = FieldMap.load(repack(saved, lambda c: c["tiles"][0][1].weights.fill(1e-5)))
     with pytest.raises(FitError, match=r"tile 0\.0\.0: fitting its samples again gives another field"):
         field_map.covariance(field_map.survey.positions)
 
 
 def test_weights_of_another_number_are_refused(saved):
-    assert "tile 0.0.0: 10 weights are stored" in refusal(repack(saved, put("tiles", 0, 4, np.ones(10))))
-
-
-def test_number_that_older_maps_lack_takes_its_default(saved):
-    assert (
-        MapRecord.read(repack(saved, drop("hyperparameters", "stiffness"))).hyperparameters.divergence_weight == 0.0
-    )
+    assert "tile 0.0.0: 10 weights are stored" in refusal(repack(saved, tile(weights=np.ones(10))))
 
 
 def test_map_of_a_later_version_is_refused_with_advice(saved):

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from crafted import apart, together
 from magmatch.cli.settings import read_settings, registration_config
 from magmatch.data.formats.csv import read_points
 from magmatch.data.formats.extrinsic import read_extrinsic
@@ -22,18 +23,15 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import FieldEstimator
-from magmatch.field.live.live_record import SCHEMA as LIVE
 from magmatch.field.map import FieldMap
-from magmatch.field.saved_map import SCHEMA as MAP
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.registration.result import RegistrationResult
-from magmatch.store import dumps, loads
 
 NUMBERS = (0, -1, 1, 3, 1e-300, 1e-9, 1e9, 1e300, 2**31, 2**63, 10**30, None, True, "x", [], {}, [[]], float("nan"))
 
 
-def changed_value(content, rng):
-    """One value of a tree replaced, removed or doubled, or some numbers of one of its arrays."""
+def changed_json(content, rng):
+    """One value of a JSON document replaced, removed or doubled."""
     places = []
 
     def walk(part):
@@ -46,14 +44,8 @@ def changed_value(content, rng):
     if not places:
         return
     part, key = places[int(rng.integers(len(places)))]
-    kind, array = int(rng.integers(4)), part[key] if isinstance(part[key], np.ndarray) else np.zeros(0)
-    if len(array) and kind:
-        numbers = array.reshape(-1)
-        at = rng.integers(len(numbers), size=int(rng.choice([1, 3, 30])))
-        numbers[at] = rng.choice([0.0, 1.0, -1e-5, 1e-300, 1e9, 1e300, np.nan, np.inf, numbers[at[0]] * 1.01])
-    elif len(array):
-        part[key] = [array[1:], array.T, array.astype(np.int64), array[:0], array.astype(np.float32)][rng.integers(5)]
-    elif kind == 0:
+    kind = int(rng.integers(4))
+    if kind == 0:
         del part[key]
     elif kind == 1 and isinstance(part, list):
         part.append(part[key])
@@ -63,13 +55,21 @@ def changed_value(content, rng):
         part[key] = NUMBERS[int(rng.integers(len(NUMBERS)))]
 
 
-def changed_store(raw, rng, schema):
-    """Values of a map or checkpoint changed, with digests that fit."""
-    content = loads(raw, schema)
+def changed_store(raw, rng):
+    """A saved file of which values, entries of the header or numbers of arrays are changed, and the digests fit."""
+    about, header, content, data = apart(raw)
     for _ in range(int(rng.integers(1, 3))):
-        with np.errstate(invalid="ignore"):
-            changed_value(content, rng)
-    return dumps(schema, content)
+        kind = rng.random()
+        if kind < 0.5:
+            changed_json(content, rng)
+        elif kind < 0.6:
+            changed_json(header, rng)
+        else:
+            numbers = np.frombuffer(data, "<f8").copy()
+            at = rng.integers(len(numbers), size=int(rng.choice([1, 3, 30])))
+            numbers[at] = rng.choice([0.0, 1.0, -1e-5, 1e-300, 1e9, 1e300, np.nan, np.inf, numbers[at[0]] * 1.01])
+            data = numbers.tobytes()
+    return together(about, header, content, data)
 
 
 def changed_document(raw, rng):
@@ -77,7 +77,7 @@ def changed_document(raw, rng):
     content = json.loads(raw)
     content.pop("checksum", None)
     for _ in range(int(rng.integers(1, 3))):
-        changed_value(content, rng)
+        changed_json(content, rng)
     return json.dumps(content).encode()
 
 
@@ -96,8 +96,8 @@ SETTINGS = b"field: {prior: spline, lengthscale: 0.5, domain: [0, 0, 0, 5, 4, 3]
 EXTRINSIC = b"transform:\n  translation: {x: 0.1, y: 0.0, z: 0.3}\n  rotation: {x: 0.0, y: 0.0, z: 0.6, w: 0.8}\n"
 POINTS = b"x,y,z,name\n0,1,2,a\n0.5,1e-3,-2,b\n3,4,5,c\n"
 READERS = {
-    "map": (use_map, partial(changed_store, schema=MAP)),
-    "live checkpoint": (FieldEstimator.load, partial(changed_store, schema=LIVE)),
+    "map": (use_map, changed_store),
+    "live checkpoint": (FieldEstimator.load, changed_store),
     "result": (RegistrationResult.load, changed_document),
     "preparation report": (PreparationReport.load, changed_document),
     "settings": (use_settings, None),

@@ -12,8 +12,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import ConnectionClosed
 
+from magmatch.localization.kept_state import KINDS
 from magmatch.localization.known_places import KnownPlaces, open_place
 from magmatch.localization.localizer import Localizer
+from magmatch.store import load
+from magmatch_serve.bodies.body import SCHEMA
 from magmatch_serve.messages import read_pose
 from magmatch_serve.replay import replay
 from serving import client, packed, samples, serving, wait_until
@@ -166,7 +169,7 @@ def test_states_outlive_kills_of_trackers_and_of_the_service(hall, tmp_path):
             key = one.welcome["key"]
             followed(one.socket, rows[:50])
             kept = wait_until(lambda: list((tmp_path / "states").glob("*.state")))
-            wait_until(lambda: b'"n": 50' in kept[0].read_bytes()[:200])
+            wait_until(lambda: load(kept[0], SCHEMA, KINDS)["n"] == 50)
             for tracker in trackers_of(service):
                 os.kill(tracker, signal.SIGKILL)
             with pytest.raises(ConnectionClosed) as closed:
@@ -176,7 +179,7 @@ def test_states_outlive_kills_of_trackers_and_of_the_service(hall, tmp_path):
         with client(service, key) as one:
             assert (one.welcome["resumed"], one.welcome["n"]) == (True, 50)
             followed(one.socket, rows[50:80])
-            wait_until(lambda: b'"n": 80' in kept[0].read_bytes()[:200])
+            wait_until(lambda: load(kept[0], SCHEMA, KINDS)["n"] == 80)
         children = trackers_of(service)
         service.end(signal.SIGKILL)
         wait_until(lambda: not any(map(is_alive, children)))

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hyperparameters of a prior."""
 
-from dataclasses import MISSING, asdict, dataclass, fields, replace
-from typing import Any, Self
+from dataclasses import asdict, astuple, dataclass, replace
+from typing import Self
 
 import numpy as np
 
-# Names in files, where they are not those of the attributes.
-STORED_NAMES = {"divergence_weight": "stiffness", "prior_scale": "looseness"}
+# Names in reports, where they are not those of the attributes.
+TOLD_NAMES = {"divergence_weight": "stiffness", "prior_scale": "looseness"}
 # Spacings; each one more costs a layer of cells around all samples.
 MAX_REACH = 32.0
 
@@ -34,6 +34,9 @@ class Hyperparameters:
 
     def check(self) -> None:
         """Raise ValueError where no field has such numbers: those of a file are anyone's."""
+        if not all(isinstance(value, int | float) for value in astuple(self)):
+            msg = f"expected plain numbers, got {self}"
+            raise ValueError(msg)
         positive = (self.lengthscale, self.signal_sd, self.noise_sd, self.spacing, self.prior_scale, self.inflation)
         if not all(0 < value < np.inf for value in positive):
             msg = f"expected positive lengthscale, signal_sd, noise_sd and spacing, got {self}"
@@ -47,21 +50,5 @@ class Hyperparameters:
         return replace(self, noise_sd=noise_sd, prior_scale=self.prior_scale * noise_sd / self.noise_sd)
 
     def as_dict(self) -> dict[str, float]:
-        """Plain numbers by their names in files."""
-        return {STORED_NAMES.get(name, name): float(value) for name, value in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, about: Any) -> Self:
-        """Numbers by their names in files, none unknown; those that came later take their default in older files."""
-        names = {STORED_NAMES.get(f.name, f.name): f for f in fields(cls)}
-        required = {name for name, f in names.items() if f.default is MISSING}
-        found = about if isinstance(about, dict) else {}
-        if not required <= found.keys() <= names.keys() or not all(map(is_number, found.values())):
-            msg = f"entry 'hyperparameters': expected numbers for {', '.join(sorted(names))}"
-            raise ValueError(msg)
-        return cls(**{names[name].name: float(value) for name, value in found.items()})
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value of a JSON file is a number."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
+        """Plain numbers by their names in reports."""
+        return {TOLD_NAMES.get(name, name): float(value) for name, value in asdict(self).items()}

@@ -81,7 +81,7 @@ class KnownMap:
         base, noise = index.base, index.walks.live_noise
         raster = index.raster(RASTER_SPACING * index.length)
         anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]
-        field_sd, values = float(np.sqrt(base.sample_field.var(axis=0).mean())), raster.values.copy()
+        field_sd, values = float(np.sqrt(base.sample_field.var(axis=0).mean())), raster.values
         # A map that says nothing of a place still says how much its field varies.
         sd = values[..., 3]
         sd /= np.sqrt(1 + np.maximum(sd * noise.map_factor / field_sd, 0) ** 2)

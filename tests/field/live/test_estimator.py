@@ -339,7 +339,7 @@ def checkpoint(tmp_path_factory):
 CRAFTED = {
     "another count": lambda a, r: (a | {"n_samples": 7}, r),
     "a count that is none": lambda a, r: (a | {"n_chosen": -1}, r),
-    "no spacing": lambda a, r: (a | {"hyperparameters": a["hyperparameters"] | {"spacing": 0.0}}, r),
+    "no spacing": lambda a, r: (a | {"hyperparameters": replace(a["hyperparameters"], spacing=0.0)}, r),
     "unknown setting": lambda a, r: (a | {"config": {"blocks": 3}}, r),
     "no samples": lambda a, r: (a, {k: v for k, v in r.items() if k != "kept"} | {"kept": np.zeros((0, 6))}),
     "sums elsewhere": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 1000}),
@@ -353,7 +353,7 @@ CRAFTED = {
 
 @pytest.mark.parametrize("name", CRAFTED)
 def test_crafted_checkpoints_are_one_clear_error(checkpoint, tmp_path, name):
-    content = load(checkpoint, SCHEMA)
+    content = load(checkpoint, SCHEMA, (Hyperparameters,))
     attributes, arrays = CRAFTED[name](content, content["arrays"])
     save(tmp_path / "bad.live", SCHEMA, attributes | {"arrays": arrays})
     with pytest.raises(DataFormatError) as caught:

@@ -9,10 +9,9 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
-from magmatch.field.saved_map import SCHEMA
+from magmatch.field.saved_map import MapRecord
 from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.geometry import random_transform
-from magmatch.store import load
 
 CONFIG = FieldConfig(prior="spline", lengthscale=0.5, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
 
@@ -52,7 +51,7 @@ def refuse(*_):
 
 def tiles(path):
     """Bytes of every tile of a saved map by its index."""
-    return {(x, y, z): w.tobytes() for x, y, z, _, w in load(path, SCHEMA)["tiles"]}
+    return {index: tile.weights.tobytes() for index, tile in MapRecord.read(path).tiles.items()}
 
 
 def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypatch):
@@ -91,8 +90,8 @@ def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeyp
     old_tiles, new_tiles = tiles(saved), tiles(tmp_path / "new.map")
     assert 0 < len(fitted) < len(added.posterior.tiles)
     assert {index for index, w in new_tiles.items() if w != old_tiles.get(index)} == set(fitted)
-    was, now = (load(path, SCHEMA)["surveys"][0] for path in (saved, tmp_path / "new.map"))
-    assert all(np.array_equal(was[name], now[name]) for name in was)
+    was, now = (MapRecord.read(path).surveys[0] for path in (saved, tmp_path / "new.map"))
+    assert all(np.array_equal(getattr(was, name), getattr(now, name)) for name in ("positions", "field", "times"))
     assert np.array_equal(added.T_map_model.as_matrix(), before.T_map_model.as_matrix())
     assert added.hyperparameters == before.hyperparameters
 

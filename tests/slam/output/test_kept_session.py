@@ -61,12 +61,7 @@ def test_folders_that_hold_no_such_session_are_refused(lone, folder, tmp_path):
         require_folder(folder, [lone.log, OTHER], to_add="add the others with --continue, ")
     require_folder(folder, [lone.log, OTHER], may_be_more=True)
     content = load(folder / SESSION, SCHEMA, KINDS)
-    for key, value in [
-        ("closures", [{"first": 1}]),
-        ("hyperparameters", {"size": 3}),
-        ("anchors", [[1]]),
-        ("length", "far"),
-    ]:
+    for key, value in [("closures", [{"first": 1}]), ("noise", {"size": 3}), ("anchors", [[1]]), ("length", "far")]:
         save(tmp_path / SESSION, SCHEMA, content | {key: value})
         with pytest.raises(DataFormatError, match=r"session\.state: "):
             read_session(tmp_path, [lone.log])

@@ -4,7 +4,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.live_cells import COUNT, KEPT_PER_CELL, N_SUMS
 from magmatch.field.live.live_tiles import LiveTiles
-from magmatch.store import load, naming, save
+from magmatch.store import expect, load, naming, save
 
 SCHEMA = "magmatch.live/2"
 # Where the sums of the field (1 row) and of its products (3 rows) stand in 'moments'.
@@ -72,10 +71,9 @@ class LiveRecord:
 
     def write(self, path: str | Path) -> None:
         """Save the record, whole or not at all; see `read`."""
-        h = self.hyperparameters
         content = {
             "config": self.config.model_dump(mode="json"),
-            "hyperparameters": None if h is None else h.as_dict(),
+            "hyperparameters": self.hyperparameters,
             "n_chosen": self.n_chosen,
             "n_samples": self.n_samples,
             "arrays": self.arrays,
@@ -85,16 +83,11 @@ class LiveRecord:
     @classmethod
     def read(cls, path: str | Path) -> "LiveRecord":
         """Read and check a checkpoint."""
-        content = load(path, SCHEMA)
+        content = load(path, SCHEMA, (Hyperparameters,))
         with naming(path):
-            about = content["hyperparameters"]
-            record = cls(
-                EstimatorConfig.model_validate(content["config"]),
-                None if about is None else Hyperparameters.from_dict(about),
-                _count(content, "n_chosen"),
-                _count(content, "n_samples"),
-                content["arrays"],
-            )
+            expect(content, hyperparameters=(Hyperparameters, type(None)), n_chosen=int, n_samples=int, arrays=dict)
+            content["config"] = EstimatorConfig.model_validate(content["config"])
+            record = cls(**content)
             record.check()
         return record
 
@@ -108,6 +101,9 @@ class LiveRecord:
         h = self.hyperparameters
         if h is not None:
             h.check()
+        if min(self.n_chosen, self.n_samples) < 0:
+            msg = f"expected counts, got n_chosen {self.n_chosen} and n_samples {self.n_samples}"
+            raise ValueError(msg)
         self._check_samples()
         if "kept" not in self.arrays:
             return
@@ -143,11 +139,3 @@ class LiveRecord:
         if (np.abs(start).max() + MAX_EXTENT) / spacing > MAX_LATTICE:
             msg = f"entry 'start': {start} m is too far away for cells of {spacing:.3g} m"
             raise ValueError(msg)
-
-
-def _count(content: Mapping[str, Any], name: str) -> int:
-    value = content[name]
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        msg = f"entry '{name}': expected a count, got {value!r}"
-        raise ValueError(msg)
-    return value

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What registration and localisation need of one base map, made when it is first needed and kept beside the map.
 
-What is kept is a cache: it is used only for the content of the map, the settings and the version that it was made
-from. Nothing is lost by deleting it, and where it cannot be written it is made each time.
+What is kept is a cache: it is used only for the content of the map, the settings and the program that it was made
+by. Nothing is lost by deleting it, and where it cannot be written it is made each time.
 """
 
 import hashlib
@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from magmatch._version import __version__
 from magmatch.brief import brief
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
@@ -29,6 +28,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, known_sampl
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.pair_search import PairTable
+from magmatch.runner import program
 from magmatch.store import Stored, naming, open_stored, save
 from magmatch.threads import one_blas_thread
 
@@ -241,12 +241,12 @@ def index_path(map_path: str | Path) -> Path:
 
 
 def index_key(file: MapFile, config: RegistrationConfig) -> str:
-    """What it must have been made from to be valid: SHA-256 of the map's content, settings and version."""
+    """What it must have been made from to be valid: SHA-256 of the map's content, the settings and the program."""
     made_with = {
         "map": file.sha256,
         "n_draws": config.invariants.n_draws,
         "pairs": config.walks.search.model_dump(mode="json"),
-        "version": __version__,
+        "program": program(),
     }
     return hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()
 

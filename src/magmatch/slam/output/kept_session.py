@@ -20,13 +20,10 @@ from magmatch.slam.search.submaps import SubmapMaker
 from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
-from magmatch.store import load, naming, save
+from magmatch.store import expect, load, naming, save
 
 SESSION, SCHEMA = "session.state", "magmatch.slam.session/8"
 KINDS = (Anchor, Closure, Hyperparameters, PathNoise, SubmapFactor)
-# What else could be read, and used, as another class.
-EXPECTED = {"hyperparameters": Hyperparameters, "noise": PathNoise, "length": float, "squared_gradient": float}
-EXPECTED_OF_EACH = {"closures": Closure, "submap_factors": SubmapFactor}
 
 
 def write_session(session: Session, path: Path) -> None:
@@ -74,11 +71,7 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
 
 
 def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
-    for name, kind in (EXPECTED | EXPECTED_OF_EACH).items():
-        values = content[name] if name in EXPECTED_OF_EACH else [content[name]]
-        if not all(isinstance(value, kind) for value in values):
-            msg = f"entry '{name}': expected {kind.__name__}"
-            raise TypeError(msg)
+    expect(content, noise=PathNoise, length=float, closures=[Closure], submap_factors=[SubmapFactor])
     stated, config = (SlamConfig.model_validate(content[key]) for key in ("stated", "config"))
     unbiased = [
         without_bias(in_one_calibration(survey), bias)
@@ -88,8 +81,8 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph = odometry_graph(paths, config)
     graph.R, graph.p, graph.level, graph.lasting = (content[k] for k in ("R", "p", "level", "lasting"))
     graph.closures, graph.submap_factors = content["closures"], content["submap_factors"]
-    hyperparameters, noise, anchors = content["hyperparameters"], content["noise"], content["anchors"]
-    maker = SubmapMaker(hyperparameters, content["squared_gradient"], noise, content["length"], config)
+    numbers, noise, anchors = content["hyperparameters"], content["noise"], content["anchors"]
+    maker = SubmapMaker(numbers, content["squared_gradient"], noise, content["length"], config)
     if anchors:
         graph.fixed = fixed_points(anchors, paths)
     # Poses stay as they were; covariances follow from this.
