@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch import runner as module
 from magmatch.geometry import product, random_transform
 from magmatch.progress import followed
-from magmatch.runner import Runner, Shared, Task, key_of
+from magmatch.runner import Runner, Shared, key_of
+from magmatch.workers import Task
 from other_process import elsewhere
 
 done = []

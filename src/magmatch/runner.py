@@ -31,6 +31,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.progress import tell
 from magmatch.store import Kinds, load, save
 from magmatch.threads import side_by_side
+from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
 
@@ -45,16 +46,6 @@ T = TypeVar("T")
 R = TypeVar("R")
 # Applies a function to each of some tasks, in other processes; results in the order of the tasks.
 Workers = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Task:
-    """Arguments of a function, and in words what comes of them."""
-
-    name: str
-    arguments: tuple[Any, ...]
-    about: tuple[Any, ...] | None = None  # stands for arguments that cannot be hashed
-    affinity: int | None = None  # tasks of one number had better be done by one worker, which has what they share
 
 
 @dataclass(frozen=True, eq=False)

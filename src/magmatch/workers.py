@@ -9,10 +9,11 @@ does not grow with their number.
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from queue import Empty, Queue
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from magmatch.errors import ConfigurationError, TaskError, import_extra
 from magmatch.threads import on_one_core
@@ -28,19 +29,16 @@ CONNECT_SECONDS = 10
 LOOK_SECONDS, LONELY_SECONDS = 2, 120
 
 
-class Task(Protocol):
-    """What a worker is given; told by its name if it fails."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Task:
+    """Arguments of a function, and in words what comes of them, for messages."""
 
-    @property
-    def name(self) -> str:
-        """In words."""
-
-    @property
-    def affinity(self) -> int | None:
-        """Number of the tasks that one worker had better do, which keeps what it made for the others of them."""
+    name: str
+    arguments: tuple[Any, ...]
+    about: tuple[Any, ...] | None = None  # stands for arguments that cannot be hashed
+    affinity: int | None = None  # tasks of one number had better be done by one worker, which has what they share
 
 
-T = TypeVar("T", bound=Task)
 R = TypeVar("R")
 
 
@@ -65,10 +63,10 @@ class DaskRunner:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def __call__(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+    def __call__(self, function: Callable[[Task], R], tasks: Iterable[Task]) -> Iterator[R]:
         """Apply a function to every task, results in the order of the tasks."""
         client, source = self.client, enumerate(tasks)
-        running: dict[Any, tuple[int, T]] = {}
+        running: dict[Any, tuple[int, Task]] = {}
         done: dict[int, R] = {}
         finished: Queue[Any] = Queue()
         n_given = 0

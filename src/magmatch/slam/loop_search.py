@@ -9,14 +9,15 @@ import numpy as np
 from magmatch.registration.prepared.path_noise import Stretch
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.registration.search.retrieval import count_votes, shortlist
-from magmatch.runner import Runner, Shared, Task
+from magmatch.runner import Runner, Shared
 from magmatch.slam.places import Places
-from magmatch.slam.search.comparison import Candidate, Found, Search, Searched, compare, comparison
+from magmatch.slam.search.comparison import Candidate, Found, Search, Searched, compare
 from magmatch.slam.search.loop_closure import Match, residuals
 from magmatch.slam.search.predicted import is_known, nearby
 from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, submap_of, table_of, volume_of
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices
+from magmatch.workers import Task
 
 # Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
 # what one tells (`counted`): four tell four fifths of all.
@@ -90,9 +91,9 @@ class LoopSearch:
         (whole, volume), noise = self._whole_logs(self.places.others(path)), self.maker.noise
         pairs = [(k, one) for k, w in enumerate(windows) if w.keeps_shape for one in whole]
         found: list[list[Candidate]] = [[] for _ in windows]
-        compared = self.run(compare, [comparison(windows[k], one, volume, noise) for k, one in pairs], what)
-        for (k, _), some in zip(pairs, compared, strict=True):
-            pose = self.places.graph.pose
+        name, pose = "the comparison of window {} with a whole log", self.places.graph.pose
+        tasks = [Task(name.format(windows[k].node), (windows[k], one, volume, noise)) for k, one in pairs]
+        for (k, _), some in zip(pairs, self.run(compare, tasks, what), strict=True):
             found[k] += [Candidate.beside(node, match, windows[k], pose(node)) for node, match in some]
         return found
 

@@ -22,7 +22,7 @@ from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
-from magmatch.runner import Runner, Shared, Task, Workers
+from magmatch.runner import Runner, Shared, Workers
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -32,6 +32,7 @@ from magmatch.slam.session import Session, names_of, require_distinct
 from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Covariance6, Points, Vector3
+from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
 

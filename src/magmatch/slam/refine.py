@@ -21,7 +21,7 @@ from magmatch.geometry import product, rotation_matrix
 from magmatch.progress import counted
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
-from magmatch.runner import Runner, Task
+from magmatch.runner import Runner
 from magmatch.slam.decide.probable_closures import off_level
 from magmatch.slam.graph.factors import LEAST_KEPT, SubmapFactor
 from magmatch.slam.graph.odometry import covariance_beside
@@ -37,6 +37,7 @@ from magmatch.slam.search.submaps import make_submap
 from magmatch.slam.windows import Path, Window
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
 

@@ -25,7 +25,7 @@ from magmatch.slam.places import Places
 from magmatch.slam.refine import refine
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.predicted import SURE
-from magmatch.slam.windows import Path, in_runs
+from magmatch.slam.windows import Path
 from magmatch.threads import single_threaded
 
 # Closures make others possible: maximum number of rounds of search.
@@ -94,7 +94,7 @@ def close_near(
         what = f"looking for closures of {path.survey.name}"
         n = len(path.windows) if again else path.windows[0].config.run_length
         candidates: list[list[Candidate]] = []
-        for windows in counted(what, in_runs(path.windows, n)):
+        for windows in counted(what, [path.windows[k : k + n] for k in range(0, len(path.windows), n)]):
             # Predict, search, compare; then what the windows agree on closes loops, with which the graph is solved.
             candidates += closer.search.near(windows, what if again else None)
             first = max(len(candidates) - 2 * n, 0)

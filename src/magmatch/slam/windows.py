@@ -143,11 +143,6 @@ def cut(surveys: Sequence[Survey], length: float, config: SlamConfig, log: int =
     return paths
 
 
-def in_runs(windows: Sequence[Window], n: int) -> list[Sequence[Window]]:
-    """Divide windows into runs of so many."""
-    return [windows[k : k + n] for k in range(0, len(windows), n)]
-
-
 def mean_field(survey: Survey) -> tuple[Vector3, float]:
     """Mean of a log's field (T), and variance of a component about it (T^2)."""
     return survey.field.mean(axis=0), float(survey.field.var(axis=0).mean())

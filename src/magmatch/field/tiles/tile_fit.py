@@ -17,9 +17,9 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, is_refit
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.tiles.tiles import Tiling
-from magmatch.runner import Task
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.workers import Task
 
 # Changes with whatever lets the same samples and numbers give other weights: stored fits are then done again.
 LAYOUT = "magmatch.tile/2"

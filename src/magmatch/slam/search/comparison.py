@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
 from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.runner import Shared, Task
+from magmatch.runner import Shared
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.search.loop_closure import (
     NODE_COVARIANCE,
@@ -26,6 +26,7 @@ from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Scalars
+from magmatch.workers import Task
 
 # What a comparison finds: nodes of the submap, and poses beside them.
 Found = list[tuple[int, Match]]
@@ -136,7 +137,8 @@ class Search:
     def comparison(self, a: int, submap: Shared[Submap], noise: PathNoise) -> Task:
         """Make the task that compares the window with a submap, which is given by its node and itself."""
         known = [c.match.T_base_log for c in self.searched[a].found] if a in self.searched else None
-        return comparison(self.window, submap, self.expected[a], noise, known, self.nodes[a])
+        arguments = (self.window, submap, self.expected[a], noise, known, self.nodes[a])
+        return Task(f"the comparison of window {self.window.node} with windows {a} and after", arguments)
 
     def candidates(self, compared: dict[int, Found], graph: PoseGraph) -> list[Candidate]:
         """Candidates on all submaps, where what was found on those that are open is given."""
@@ -160,15 +162,6 @@ class Search:
             nodes, where = (self.nodes[a], self.expected[a]) if before is None else (before.nodes, before.expected)
             after[a] = Searched(nodes, where, self.expected[a], here)
         return after
-
-
-def comparison(
-    window: Window, submap: Shared[Submap], expected: Expected, noise: PathNoise,
-    known: Sequence[RigidTransform] | None = None, nodes: Indices | None = None,
-) -> Task:  # fmt: skip
-    """Make a task of `compare`."""
-    name = f"the comparison of window {window.node} with a submap"
-    return Task(name, (window, submap, expected, noise, known, nodes))
 
 
 def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> bool:
