@@ -100,7 +100,7 @@ def fitted(x, b, q):
     prior = PRIORS["spline"]
     h, _, choosing = timed(prior.choose_hyperparameters, x, b)
     model, _, building = timed(prior.build, x, b, h)
-    posterior, _, fitting = timed(model.fit, x, b, {}, map)
+    posterior, _, fitting = timed(model.fit, x, b, {}, None)
     asking = [timed(ask, q, 1).processor for ask in (posterior.evaluate, posterior.covariance)]
     return h, model, posterior, np.array([choosing, building + fitting, *asking])
 

@@ -5,6 +5,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
+from magmatch.runner import Runner
+from magmatch.slam.loop_search import LoopSearch
 
 EARTH = np.array([20e-6, 0.0, -45e-6])
 # Half sides of the loop that is walked, m.
@@ -64,3 +66,13 @@ def trajectory_error(p_true, p):
     a, b = p - p.mean(axis=0), p_true - p_true.mean(axis=0)
     R, _ = Rotation.align_vectors(b, a)
     return float(np.sqrt(((R.apply(a) - b) ** 2).sum(axis=1).mean()))
+
+
+def submap_at(places, node):
+    """The submap that is made for a node's window, odometry's frame."""
+    return made(LoopSearch(places, Runner()).submap(node))
+
+
+def made(shared):
+    """What tasks share, as it is made."""
+    return shared.make(*shared.arguments)

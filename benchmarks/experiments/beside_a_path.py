@@ -10,7 +10,6 @@ stretch, its mean and its spread over stretches.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +22,9 @@ from magmatch.registration.index.walk_index import WalkIndex
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
+from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.find_places import begin
-from magmatch.slam.search.bases import TOGETHER, make_base
+from magmatch.slam.search.submaps import TOGETHER, make_submap
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments
 
@@ -81,11 +80,11 @@ def main() -> None:
             (path,), maker = session.paths, session.maker
             assert maker is not None
             for node in range(0, len(path.windows), TOGETHER):
-                own = replace(maker.task(path, node), search=None)
-                for what, numbers in (("of all paths", maker.numbers), ("its own", own.numbers)):
-                    index = make_base(replace(own, numbers=numbers)).index
+                survey, nodes, own, noise, length, _ = maker.piece(path, node).arguments
+                for what, numbers in (("of all paths", maker.hyperparameters), ("its own", own)):
+                    index = make_submap(survey, nodes, numbers, noise, length, None).index
                     for apart in BESIDE:
-                        some = beside(own.survey.positions, apart * maker.length)
+                        some = beside(survey.positions, apart * maker.length)
                         if len(some) and (one := figures(index, some, truth)) is not None:
                             found.setdefault((name, apart, what), []).append(one)
     rows = []

@@ -23,10 +23,9 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.phones.phone_log import SurveyedPoints
 from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.preparation.odometry.dead_reckon import dead_reckon
-from magmatch.slam.graph.anchors import Anchor
+from magmatch.slam.graph.anchors import Anchor, waypoints
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.graph.waypoints import waypoints
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, timed
 

@@ -139,6 +139,12 @@ __all__ = [
 ]
 
 
+# One room has the name of its verb. Python names a room here when it is first imported and never again: so that is
+# done now, and the name is left to the verb. `from magmatch.slam.x import y` finds the room all the same.
+import_module("magmatch.slam")
+del globals()["slam"]
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         msg = f"module 'magmatch' has no attribute '{name}'"

@@ -7,20 +7,16 @@ does not grow with their number.
 """
 
 import logging
-import pickle
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from functools import cached_property, partial
-from io import BytesIO
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from queue import Empty, Queue
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
-
-from scipy.spatial.transform import RigidTransform
+from typing import Any, Self, TypeVar
 
 from magmatch.errors import ConfigurationError, TaskError, import_extra
 from magmatch.threads import on_one_core
-from magmatch.typing import Matrix
 
 log = logging.getLogger(__name__)
 
@@ -33,19 +29,16 @@ CONNECT_SECONDS = 10
 LOOK_SECONDS, LONELY_SECONDS = 2, 120
 
 
-class Task(Protocol):
-    """What a worker is given; told by its name if it fails."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Task:
+    """Arguments of a function, and in words what comes of them, for messages."""
 
-    @property
-    def name(self) -> str:
-        """In words."""
-
-    @property
-    def home(self) -> int | None:
-        """Tasks of one home had better be done by one worker, which keeps what it made for others of them."""
+    name: str
+    arguments: tuple[Any, ...]
+    about: tuple[Any, ...] | None = None  # stands for arguments that cannot be hashed
+    affinity: int | None = None  # tasks of one number had better be done by one worker, which has what they share
 
 
-T = TypeVar("T", bound=Task)
 R = TypeVar("R")
 
 
@@ -70,10 +63,10 @@ class DaskRunner:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def __call__(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
+    def __call__(self, function: Callable[[Task], R], tasks: Iterable[Task]) -> Iterator[R]:
         """Apply a function to every task, results in the order of the tasks."""
         client, source = self.client, enumerate(tasks)
-        running: dict[Any, tuple[int, T]] = {}
+        running: dict[Any, tuple[int, Task]] = {}
         done: dict[int, R] = {}
         finished: Queue[Any] = Queue()
         n_given = 0
@@ -131,10 +124,10 @@ class DaskRunner:
 
 
 def _place(task: Task, workers: list[str]) -> dict[str, Any]:
-    """The worker that a task is at home at, while it is there."""
-    if task.home is None or not workers:
+    """The worker that a task had better be done by, while it is there."""
+    if task.affinity is None or not workers:
         return {}
-    return {"workers": [workers[task.home % len(workers)]], "allow_other_workers": True}
+    return {"workers": [workers[task.affinity % len(workers)]], "allow_other_workers": True}
 
 
 def _next(finished: "Queue[Any]", client: Any) -> Any:
@@ -167,48 +160,3 @@ def _result(task: Task, future: Any) -> Any:
         what = " ".join(str(error).split()) or type(error).__name__
         msg = f"{name} failed on a worker: {what}"
         raise TaskError(msg) from error
-
-
-class _Packed(NamedTuple):
-    """A task as bytes."""
-
-    name: str
-    home: int | None
-    content: bytes
-
-
-def bit_for_bit(run: Callable[..., Iterable[bytes]]) -> Callable[[Callable[[T], R], Iterable[T]], Iterator[R]]:
-    """Let a runner of other processes take tasks that hold rigid transforms, and give the very bits.
-
-    SciPy brings a transform to the nearest one whenever it is unpickled.
-    """
-    if not callable(run):
-        msg = f"run: expected a callable such as magmatch.workers.DaskRunner, got {run!r:.40}"
-        raise TypeError(msg)
-
-    def run_packed(function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
-        packed = (_Packed(task.name, task.home, _pack(task)) for task in tasks)
-        yield from map(pickle.loads, run(partial(_unpacked, function), packed))
-
-    return run_packed
-
-
-class _Pickler(pickle.Pickler):
-    def reducer_override(self, one: Any) -> Any:
-        if isinstance(one, RigidTransform):
-            return _transform, (one.as_matrix(),)
-        return NotImplemented
-
-
-def _transform(matrix: Matrix) -> RigidTransform:
-    return RigidTransform(matrix, normalize=False)
-
-
-def _pack(one: object) -> bytes:
-    content = BytesIO()
-    _Pickler(content, pickle.HIGHEST_PROTOCOL).dump(one)
-    return content.getvalue()
-
-
-def _unpacked(function: Callable[[Any], Any], task: _Packed) -> bytes:
-    return _pack(function(pickle.loads(task.content)))

@@ -22,9 +22,9 @@ SOURCE = Path(magmatch.__file__).parents[1]
 # Keeps every step at once: a kill finds some kept and some not, however fast the machine is.
 EAGER = """
 import sys
-from magmatch.slam import steps
+from magmatch import runner
 from magmatch.cli.main import main
-steps.KEEP_EVERY_S = -1.0
+runner.KEEP_EVERY_S = -1.0
 sys.exit(main(sys.argv[1:]))
 """
 RESULTS = ("walk.csv", "walk.tum", "graph.g2o", "covariances.csv")
@@ -39,7 +39,7 @@ def start(*words):
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="kills with a POSIX signal")
 def test_a_killed_run_goes_on_and_gives_the_same_bits(tmp_path):
-    drifting_walk(Place(1), 1, laps=1.2)[0].save(tmp_path / "walk.csv")
+    drifting_walk(Place(1), 1)[0].save(tmp_path / "walk.csv")
     whole = start("slam", tmp_path / "walk.csv", "--out", tmp_path / "whole")
     said = whole.communicate()[1]
     assert whole.returncode == 0, said
@@ -47,19 +47,19 @@ def test_a_killed_run_goes_on_and_gives_the_same_bits(tmp_path):
     counts = []
     for n in (3, 9):
         run = start("slam", tmp_path / "walk.csv", "--out", out)
-        while run.poll() is None and len(list(kept.glob("*.json"))) < n:
+        while run.poll() is None and len(list(kept.glob("*.results"))) < n:
             time.sleep(0.01)
         run.kill()
         run.communicate()
         assert run.returncode == -signal.SIGKILL  # it was cut off in the middle
         assert not out.exists()
-        counts.append(len(list(kept.glob("*.json"))))
+        counts.append(len(list(kept.glob("*.results"))))
     assert 3 <= counts[0] < counts[1]
-    before = {path.name: path.stat().st_mtime_ns for path in kept.glob("[0-9]*.json")}
+    before = {path.name: path.stat().st_mtime_ns for path in kept.glob("[0-9]*.results")}
     run = start("slam", tmp_path / "walk.csv", "--out", out, "--verbose")
     said = run.communicate()[1]
     assert run.returncode == 0, said
-    assert f"going on after {len(before)} steps" in said
+    assert f"going on with {len(before)} results" in said
     for name in RESULTS:
         assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {"walk.csv", "whole", "out"}
@@ -79,17 +79,17 @@ def test_a_killed_merge_goes_on_with_the_pairs_that_are_missing(tmp_path):
     assert whole.returncode == 0, said
     out, kept = tmp_path / "out", unfinished(tmp_path / "out")
     run = start("merge", *files, "--out", out)
-    while run.poll() is None and len(list(kept.glob("*.json"))) < 2:
+    while run.poll() is None and len(list(kept.glob("*.results"))) < 2:
         time.sleep(0.01)
     run.kill()
     run.communicate()
     assert run.returncode == -signal.SIGKILL
     assert not out.exists()
-    n = len(list(kept.glob("[0-9]*.json")))
+    n = len(list(kept.glob("[0-9]*.results")))
     run = start("merge", *files, "--out", out, "--verbose")
     said = run.communicate()[1]
     assert run.returncode == 0, said
-    assert f"going on after {n} steps" in said
+    assert f"going on with {n} results" in said
     for name in ("s0.csv", "s3.csv", "graph.g2o", "covariances.csv"):
         assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert not kept.exists()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drifting import Place, drifting_walk
+from drifting import Place, drifting_walk, submap_at
 from magmatch.slam.config import OdometryConfig, SlamConfig
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
@@ -41,7 +41,7 @@ def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_wha
     assert 0.5 < window.bends_by / window.length < 0.6
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.3, 0.3, 0.05]) ** 2)
-    found = matches(bent(window, seed), places.stretch(closure.first), rough)[0]
+    found = matches(bent(window, seed), submap_at(places, closure.first), rough)[0]
     off = found.T_base_log.apply(window.center) - T.apply(window.center)
     assert np.linalg.norm(off[:2]) < SAME_SHIFT * window.length
     assert found.log_odds > 5

@@ -16,11 +16,12 @@ from magmatch.geometry import covariance_about, exp_se3, log_se3, random_transfo
 from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging
-from magmatch.slam.graph.doubt import surprises
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.switchable_constraints import surprises
 from magmatch.slam.merge import merge
 from magmatch.slam.result import SlamStatus
+from other_process import elsewhere
 
 RNG = np.random.default_rng(4)
 # Frames of the surveys, from the room's: far from their samples, where every turn is a large shift.
@@ -174,13 +175,8 @@ def replace_domain(survey):
     return PRESETS["default"].field.model_copy(update={"domain": (*low, *(low + 0.6 * (high - low)))})
 
 
-def shuffled(function, tasks):
-    """Stands for other processes: tasks come as bytes, none shares anything with another."""
-    return [function(task) for task in list(tasks)]
-
-
 def test_other_processes_give_the_same_bits(session, surveys):
-    again = merge(surveys, run=shuffled)
+    again = merge(surveys, run=elsewhere)
     np.testing.assert_array_equal(again.graph.p, session.graph.p)
     np.testing.assert_array_equal(again.graph.R, session.graph.R)
     assert [c.log_odds for c in again.graph.closures] == [c.log_odds for c in session.graph.closures]

@@ -7,14 +7,13 @@ import numpy as np
 
 import magmatch as mm
 from drifting import Place
-from magmatch.slam.roughness import as_rough_as_here, squared_gradient
-from magmatch.slam.shared_numbers import shared_numbers
+from magmatch.slam.shared_hyperparameters import as_rough_as_here, shared_hyperparameters, squared_gradient
 
 
 def test_a_stretch_as_rough_as_all_paths_has_their_numbers_and_a_tenth_of_it_a_tenth():
     path = np.linspace([-4.0, 0, 0], [4.0, 0, 0], 800)
     stretch = mm.Survey(path, Place(0).field(path))
-    numbers, length, _ = shared_numbers([stretch])
+    numbers, length, _ = shared_hyperparameters([stretch])
     everywhere = squared_gradient([stretch], length)
     assert as_rough_as_here(numbers, everywhere, stretch, length) == numbers
     weaker = replace(stretch, field=stretch.field / 10)
@@ -25,6 +24,6 @@ def test_a_stretch_as_rough_as_all_paths_has_their_numbers_and_a_tenth_of_it_a_t
 def test_a_stretch_without_any_change_keeps_the_numbers():
     path = np.linspace([-4.0, 0, 0], [4.0, 0, 0], 800)
     walk = mm.Survey(path, Place(0).field(path))
-    numbers, length, everywhere = shared_numbers([walk])
+    numbers, length, everywhere = shared_hyperparameters([walk])
     still = replace(walk, field=np.tile(walk.field[:1], (800, 1)))
     assert as_rough_as_here(numbers, everywhere, still, length) == numbers

@@ -15,15 +15,16 @@ from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
+from magmatch.runner import Runner
+from magmatch.slam.begin import settled
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.find_places import settled
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
-from magmatch.slam.output.covariances import write_covariances
+from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.output.folder import require_folder, write_folder
-from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.output.graph_files import write_covariances, write_graph
 from magmatch.slam.result import SlamResult, SlamStatus
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 from magmatch.slam.statement import body_at
 
@@ -158,7 +159,7 @@ def test_without_times_or_orientations_there_are_no_poses_to_write(lone, tmp_pat
     paths = [replace(lone.session.paths[0], survey=replace(lone.session.paths[0].survey, times=None))]
     session = replace(lone.session, given=[given], places=replace(lone.session.places, paths=paths))
     result = write_folder(session, tmp_path / "out")
-    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json"}
+    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".csv", ".map", ".g2o", ".json", ".state"}
     assert all(c.t_a is None for c in result.closures)
 
 
@@ -212,7 +213,7 @@ def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path):
     np.testing.assert_allclose([poses[k].translation for k in range(len(poses))], graph.p, atol=1e-12)
     rng = np.random.default_rng(0)
     # Without the maps of several passes, which g2o cannot express.
-    weights = graph.ties.weight / shared(graph)
+    weights = graph.as_arrays.weight / shared(graph)
     for (i, j, numbers), c, counts in zip(edges[len(graph.edges.first) :], graph.closures, weights, strict=True):
         assert (i, j) == (c.first, c.second)
         Z = RigidTransform.from_components(numbers[:3], Rotation.from_quat(numbers[3:7]))
@@ -235,15 +236,16 @@ def test_a_window_that_is_tied_to_one_pass_is_still_compared_with_the_others(thr
     window = next(w for path in places.paths for w in path.windows if w.node == closure.second)
     graph.closures = [c for c in graph.closures if c.second != closure.second or c is closure]
     nodes = np.flatnonzero(graph.log == graph.log[closure.first])
-    assert nodes[graph.is_tied(nodes, window.node)].tolist() == [
+    assert nodes[graph.has_closure(nodes, window.node)].tolist() == [
         n for n in nodes.tolist() if abs(n - closure.first) <= 1
     ]
     others = np.flatnonzero(graph.log == graph.log[closure.second])
-    assert not graph.is_tied(others, window.node).any()
-    assert not {c.node for c in places.near([window])[0]} & set(nodes[graph.is_tied(nodes, window.node)].tolist())
+    assert not graph.has_closure(others, window.node).any()
+    (found,) = LoopCloser(places, Runner()).search.near([window])
+    assert not {c.node for c in found} & set(nodes[graph.has_closure(nodes, window.node)].tolist())
 
 
-def test_a_pass_ties_a_window_once(three):
+def test_a_pass_closes_with_a_window_once(three):
     """What is weighed again with more windows may favour a node beside the one that is tied: the same evidence."""
     places = three.session.places.copied()
     path = places.paths[1]
@@ -253,7 +255,7 @@ def test_a_pass_ties_a_window_once(three):
         T = places.graph.pose(first).inv() * places.graph.pose(closure.first) * closure.T_first_second
         sure = Match(here, closure.covariance, 12.0, -2.0, here, closure.covariance)
         candidates = [[Candidate(first, T, sure)] if n == closure.second else [] for n in path.nodes]
-        assert places.tie(path, candidates) == 0
+        assert LoopCloser(places, Runner()).close(path, candidates) == 0
 
 
 def test_samples_that_follow_no_path_are_refused_before_any_work():

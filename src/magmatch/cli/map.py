@@ -20,10 +20,8 @@ from magmatch.data.units import field_text
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
-    from magmatch.field.linear_model import Runner
     from magmatch.field.map import FieldMap
-    from magmatch.field.tiles.tile_fit import TileTask
-    from magmatch.typing import Scalars
+    from magmatch.runner import Workers
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +82,7 @@ def build(
     check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], config], page=report)
     if is_addition:
         with processes(jobs, scheduler) as run:
-            grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run or map)
+            grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
         draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
         return
     settings = merged(FieldConfig(prior="auto"), config, "field")
@@ -94,7 +92,7 @@ def build(
     settings = FieldConfig.model_validate(settings.model_dump() | stated)
     samples = [read_samples(path, layouts) for path in surveys]
     with processes(jobs, scheduler) as run:
-        field_map = build_map(samples, settings, run or map)
+        field_map = build_map(samples, settings, run)
     field_map.save(out)
     h, errors = field_map.hyperparameters, field_map.config.comparison
     if errors:
@@ -137,13 +135,13 @@ def command_again(surveys: "Sequence[Path]", layouts: Layouts, out: Path, *, wit
     return shlex.join([*words, "--out", str(out)])
 
 
-def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Runner") -> "FieldMap":
+def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Workers | None") -> "FieldMap":
     """Add surveys to a saved map."""
     n_fitted = 0
 
-    def counting(fit: "Callable[[TileTask], Scalars]", tasks: "Iterable[TileTask]") -> "Iterator[Scalars]":
+    def counting(fit: "Callable[[Any], Any]", tasks: "Iterable[Any]") -> "Iterator[Any]":
         nonlocal n_fitted
-        for weights in run(fit, tasks):
+        for weights in (run or map)(fit, tasks):
             n_fitted += 1
             yield weights
 

@@ -146,7 +146,7 @@ def marked_points(
 
     Nothing ties those in degrees to others in metres, unless the settings say where these begin.
     """
-    from magmatch.slam.graph.waypoints import warn_of_floors, waypoints
+    from magmatch.slam.graph.anchors import warn_of_floors, waypoints
     from magmatch.slam.session import names_of
 
     named = {id(survey): name for survey, name in zip(order, names_of(order), strict=True)}

@@ -10,10 +10,10 @@ from magmatch.field.choose_and_fit import choose_and_fit
 from magmatch.field.config import FieldConfig
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.given_surveys import surveys_of
-from magmatch.field.linear_model import Runner
 from magmatch.field.map import FieldMap
 from magmatch.field.selection.outliers import find_outliers, hardly_moved
 from magmatch.progress import Progress, followed
+from magmatch.runner import Workers
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 def build_map(
     survey: Survey | Sequence[Survey],
     config: FieldConfig | None = None,
-    run: Runner = map,
+    run: Workers | None = None,
     *,
     progress: Progress | None = None,
 ) -> FieldMap:
@@ -59,7 +59,7 @@ def build_map(
     return built
 
 
-def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Runner = map) -> FieldMap:
+def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None = None) -> FieldMap:
     """Map of samples without checking them, however few or suspicious."""
     field_map, unbounded, samples = choose_and_fit(surveys, config, run)
     if not config.leave_out_outliers:

@@ -9,8 +9,9 @@ from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior, Box
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, Prior, Runner, StoredTile
+from magmatch.field.linear_model import Index, Posterior, Prior, StoredTile
 from magmatch.field.priors import prior_over
+from magmatch.runner import Workers
 from magmatch.threads import single_threaded
 
 
@@ -21,7 +22,7 @@ def fit_posterior(
     config: FieldConfig,
     T_domain_model: RigidTransform | None = None,
     stored: Mapping[Index, StoredTile] | None = None,
-    run: Runner = map,
+    run: Workers | None = None,
 ) -> Posterior:
     """Posterior of the field given samples in the model's frame; the same arguments give the same bits.
 
@@ -33,7 +34,11 @@ def fit_posterior(
 
 
 def fit_unbounded(
-    samples: Survey, hyperparameters: Hyperparameters, prior: Prior, stored: Mapping[Index, StoredTile], run: Runner
+    samples: Survey,
+    hyperparameters: Hyperparameters,
+    prior: Prior,
+    stored: Mapping[Index, StoredTile],
+    run: Workers | None,
 ) -> Posterior:
     """Posterior of the field wherever the basis reaches."""
     points, field = samples.positions, samples.field

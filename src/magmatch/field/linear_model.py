@@ -6,7 +6,7 @@ can be left out by subtracting what they say. Everything here is in the model's 
 (the survey's principal axes); `FieldMap` does the rotations.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,13 +15,12 @@ import numpy as np
 from magmatch.errors import SurveyError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
+from magmatch.runner import Workers
 from magmatch.typing import Mask, Points, Scalars, Vectors
 
 Axes = tuple[Scalars, Scalars, Scalars]
 # Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
 Index = tuple[int, int, int]
-# Applies a function to every task of a fit, results in the order of the tasks.
-Runner = Callable[[Callable[[Any], Scalars], Iterable[Any]], Iterable[Scalars]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +40,9 @@ class LinearModel(Protocol):
     def infer(self, information: Any) -> "Posterior":
         """Posterior of the weights given information (one factorisation)."""
 
-    def fit(self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Runner, /) -> "Posterior":
+    def fit(
+        self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Workers | None, /
+    ) -> "Posterior":
         """Posterior of samples; stored tiles with a matching fingerprint are reused, ``run`` fits the others."""
 
 

@@ -26,13 +26,14 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
+from magmatch.field.linear_model import Index, Posterior, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
 from magmatch.grid import RegularGrid
 from magmatch.picture import with_picture
+from magmatch.runner import Workers
 from magmatch.typing import Mask, Points
 
 
@@ -234,7 +235,7 @@ class FieldMap:
             parts=tuple(part.transformed(T_new_map) for part in self.parts),
         )
 
-    def with_surveys(self, *surveys: Survey, run: Runner = map) -> "FieldMap":
+    def with_surveys(self, *surveys: Survey, run: Workers | None = None) -> "FieldMap":
         """Return this map with more samples; frame, lattice and hyperparameters are kept.
 
         In a spline model, only the tiles that the new samples touch are fitted again.
@@ -255,7 +256,7 @@ class FieldMap:
         warn_of_excess(grown, grown.survey)
         return grown
 
-    def without_samples(self, is_out: Mask, run: Runner = map) -> "FieldMap":
+    def without_samples(self, is_out: Mask, run: Workers | None = None) -> "FieldMap":
         """Return this map as fitted without some samples (n,) of all surveys; frame and hyperparameters are kept.
 
         In a spline model, only the tiles that contained these samples are fitted again.
@@ -269,7 +270,7 @@ class FieldMap:
         return self._refitted(subsets(self.surveys, ~is_out), self._fitted().subset(~is_out), stored, run)
 
     def _refitted(
-        self, parts: tuple[Survey, ...], fitted: Survey, stored: dict[Index, StoredTile], run: Runner
+        self, parts: tuple[Survey, ...], fitted: Survey, stored: dict[Index, StoredTile], run: Workers | None
     ) -> "FieldMap":
         """Same frame and numbers, other samples."""
         posterior = fit_posterior(fitted, self.hyperparameters, self.config, self.T_domain_model, stored, run)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the errors of dead reckoning rotate and shift the points of a path relative to one of them."""
+"""The errors of dead reckoning rotate and shift the points of a path relative to one of them."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from magmatch.typing import Matrix, Points
 
 
 def bend(positions: Points, about: int, odometry: OdometryConfig, *, upright: bool, planar: bool) -> np.ndarray:
-    """Effect of each of m errors of unit variance on each point of a path: (n, 6, m), turn (rad), then shift (m).
+    """Give the effect of m errors of unit variance on each point of a path: (n, 6, m), turn (rad), then shift (m).
 
     Between neighbouring points heading and position take a random step; errors of scale and turn rate are constant
     along the whole path. The point ``about`` stays; ``upright``: only the heading drifts; ``planar``: the height does
@@ -38,7 +38,7 @@ def bend(positions: Points, about: int, odometry: OdometryConfig, *, upright: bo
 
 
 def lasting_errors(positions: Points, about: int, *, upright: bool) -> np.ndarray:
-    """What a unit error of scale (a share) and of turn rate (rad/m, about z) does to each point: (n, 6, 2)."""
+    """Give the effect of unit errors of scale (a share) and turn rate (rad/m, about z) on each point: (n, 6, 2)."""
     n = len(positions)
     found = np.zeros((n, 6, 2))
     found[:, 3:, 0] = positions - positions[about]
@@ -54,5 +54,5 @@ def lasting_errors(positions: Points, about: int, *, upright: bool) -> np.ndarra
 
 
 def turned(loads: np.ndarray, R: Matrix) -> np.ndarray:
-    """Loads with turns and shifts in other axes: ``R v`` for each."""
+    """Express turns and shifts in other axes: ``R v`` for each."""
     return np.concatenate([R @ loads[:, :3], R @ loads[:, 3:]], axis=1)

@@ -20,7 +20,7 @@ Drift = tuple[Deviation, Deviation]
 
 
 class OdometryConfig(Settings):
-    """How odometry drifts: a random walk of position and heading, and two constant errors."""
+    """Drift of odometry: a random walk of position and heading, and two constant errors."""
 
     sd: Drift = (0.3, 4.0)
     # Lasting errors: of the length of each step, as a share; and of the turn rate, as a share of the random turn over
@@ -30,17 +30,17 @@ class OdometryConfig(Settings):
 
     @property
     def translation_sd(self) -> float:
-        """Of a metre walked, m."""
+        """Standard deviation of the place after a metre walked, m."""
         return self.sd[0] / float(np.sqrt(STATED_OVER))
 
     @property
     def rotation_sd(self) -> float:
-        """Of a metre walked, rad."""
+        """Standard deviation of the heading after a metre walked, rad."""
         return float(np.radians(self.sd[1]) / np.sqrt(STATED_OVER))
 
     @property
     def turn_rate_sd(self) -> float:
-        """Lasting error of the turn rate, rad/m."""
+        """Standard deviation of the constant error of the turn rate, rad/m."""
         return float(np.radians(self.turn_share * self.sd[1]) / STATED_OVER)
 
 
@@ -72,10 +72,10 @@ class SlamConfig(Settings):
 
     @property
     def run_length(self) -> int:
-        """So many windows in a row lie near where the one before did, on average."""
+        """Number of windows in a row that lie near where the one before did, on average."""
         return round(1 / (1 - self.keeps_on))
 
     def odometry_of(self, name: str) -> OdometryConfig:
-        """How the odometry of a log drifts."""
+        """Settings of one log's odometry."""
         sd = self.sd_of_logs.get(name)
         return self.odometry if sd is None else self.odometry.model_copy(update={"sd": sd})

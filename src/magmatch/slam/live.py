@@ -16,12 +16,15 @@ from magmatch.number_text import told
 from magmatch.preparation.recalibrations import NEIGHBOURS
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.registration.prepared.walk import BIN_LENGTH
+from magmatch.runner import Runner
+from magmatch.slam.begin import begin, settled
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.find_places import begin, settled
+from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.sensor_bias import in_one_calibration, without_bias
-from magmatch.slam.shared_numbers import N_PARTS
+from magmatch.slam.shared_hyperparameters import N_PARTS
+from magmatch.slam.slam import close_near
 from magmatch.slam.windows import Path, Window, mean_field, walked_along
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Scalars, Vector3, Vectors
@@ -37,8 +40,8 @@ class LiveLog:
     """A log that grows sample by sample; places of earlier logs are not changed."""
 
     def __init__(self, config: SlamConfig, places: Places | None) -> None:
-        self.config = config
-        self.places = None if places is None else places.copied()
+        self.config, self._run = config, Runner()
+        self._closer = None if places is None else LoopCloser(places.copied(), self._run)
         self._t: list[float] = []
         self._p: list[Vector3] = []
         self._R: list[np.ndarray] = []
@@ -55,6 +58,11 @@ class LiveLog:
         # Candidates of the last windows: near, and on other logs.
         self._near: list[list[Candidate]] = []
         self._far: list[list[Candidate]] = []
+
+    @property
+    def places(self) -> Places | None:
+        """Windows and graph; None until enough was walked."""
+        return None if self._closer is None else self._closer.places
 
     def add(self, t: float, T_odom_body: RigidTransform, field: Any) -> bool:
         """Add a sample; returns whether poses or windows changed.
@@ -80,16 +88,16 @@ class LiveLog:
         self._T_odom_body = T_odom_body
         if len(self._t) >= self._next_look and self._learn_field():
             return True
-        return self.places is not None and self._walk(self.places)
+        return self._closer is not None and self._walk(self._closer)
 
     def survey(self, first: int = 0) -> Survey:
-        """All samples, or those from one on."""
+        """Give all samples, or those from one on."""
         R = Rotation.from_quat(np.array(self._R[first:]))
         p, b, t = (np.array(values[first:]) for values in (self._p, self._b, self._t))
         return Survey(p, b, t, R, name="live")
 
     def pose(self) -> RigidTransform:
-        """Body in the frame of the log's component, after the last sample; odometry's pose until that is known."""
+        """Pose of the body in the frame of the log's component, after the last sample; at first odometry's."""
         if self.places is None or self._path is None:
             return self._T_odom_body
         window = self._path.windows[-1]
@@ -110,25 +118,23 @@ class LiveLog:
         require_survey(survey, name="log")
         with one_blas_thread():
             # From half of the parts: it is soon learned again.
-            places = begin([survey], settled([survey], self.config), N_PARTS // 2)
+            places = begin([survey], settled([survey], self.config), n_parts=N_PARTS // 2)
             if places.maker is None:
                 return False  # nothing tells places apart
             known = 0.0 if self.places is None or self.places.maker is None else self.places.maker.length
             is_long = len(places.paths[0].windows) >= N_PARTS and places.maker.length < LONGER * known
             self._next_field = np.inf if is_long else 2 * n_moved
             self._next_look = len(survey) + self._next_field - n_moved
-            self.places, self._path, self._near = places, places.paths[0], []
-            places.solve()
-            places.close_near([self._path])
+            self._closer, self._path, self._near = LoopCloser(places, self._run), places.paths[0], []
+            close_near(self._closer, [self._path])
             self._next_noise = PRIOR_STRETCHES
-            self._learn_noise(places)
+            self._learn_noise(self._closer)
         self._cut_here()
         return True
 
-    def _walk(self, places: Places) -> bool:
+    def _walk(self, closer: LoopCloser) -> bool:
         """Finish a window, once it is long enough."""
-        assert places.maker is not None
-        here, length = self._p[-1], places.maker.length
+        places, here, length = closer.places, self._p[-1], closer.search.maker.length
         if len(self._t) == 1:
             self._here = here
         if (step := float(np.linalg.norm(here - self._here))) < BIN_LENGTH * length:
@@ -143,14 +149,14 @@ class LiveLog:
                 self._path = places.paths[-1] = self._longer(self._path, places)
                 places.solve()
             self._cut_here()
-            self._look(self._path, places)
+            self._look(self._path, closer)
         return True
 
     def _cut_here(self) -> None:
         self._n_cut, self._walked, self._here = len(self._t), 0.0, self._p[-1]
 
     def _longer(self, path: Path, places: Places) -> Path:
-        """The path with one window more."""
+        """Give the path with one window more."""
         assert places.maker is not None
         length = places.maker.length
         # With a little of what is known, whose calibration the rest is given.
@@ -176,30 +182,30 @@ class LiveLog:
             jumps(whole),
         )
 
-    def _look(self, path: Path, places: Places) -> None:
+    def _look(self, path: Path, closer: LoopCloser) -> None:
         """Search for the last window, and weigh its candidates by those of the windows before it."""
         n = min(self.config.run_length, len(path.windows))
         last = path.only(slice(-n, None))
         window = path.windows[-1]
-        tied = {c.second for c in places.graph.closures}
-        self._near = [*self._near, *places.near([window])][-n:]
-        places.tie(last, [[]] * (n - len(self._near)) + self._near, tied)
-        if places.others(path):
-            self._far = [*self._far, *places.anywhere([window], path)][-n:]
-            places.connect(last, [[]] * (n - len(self._far)) + self._far, path)
-        self._learn_noise(places)
+        closed = {c.second for c in closer.places.graph.closures}
+        self._near = [*self._near, *closer.search.near([window])][-n:]
+        closer.close(last, [[]] * (n - len(self._near)) + self._near, closed)
+        if closer.places.others(path):
+            self._far = [*self._far, *closer.search.anywhere([window], path)][-n:]
+            closer.connect(last, [[]] * (n - len(self._far)) + self._far, path)
+        self._learn_noise(closer)
 
-    def _learn_noise(self, places: Places) -> None:
+    def _learn_noise(self, closer: LoopCloser) -> None:
         """Learn noise and drift, if there are twice as many closures as the last time."""
-        if len(places.graph.closures) >= self._next_noise:
-            places.learn_noise()
-            places.learn_drift()
-            self._path = places.paths[-1]
-            self._next_noise = 2 * len(places.graph.closures)
+        if len(closer.places.graph.closures) >= self._next_noise:
+            closer.learn_noise()
+            closer.learn_drift()
+            self._path = closer.places.paths[-1]
+            self._next_noise = 2 * len(closer.places.graph.closures)
 
 
 def _joined(before: Survey, after: Survey) -> Survey:
-    """Samples of a log, and those that follow."""
+    """Join the samples of a log and those that follow."""
     assert before.times is not None
     assert after.times is not None
     # One clock, which surveys that are merged need not have.

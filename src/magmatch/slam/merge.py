@@ -2,8 +2,8 @@
 """Rigid surveys in one frame: registration of all pairs, and a graph with a node for each survey."""
 
 import logging
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path as FilePath
 
@@ -11,40 +11,35 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import expit
 
-from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
-from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
-from magmatch.geometry import covariance_about, log_se3, path_walked, rotation_matrix, transform_from_matrix
+from magmatch.geometry import covariance_about, log_se3, path_walked, rotation_matrix
 from magmatch.progress import Progress, counted, followed
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
+from magmatch.runner import Runner, Shared, Workers
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
-from magmatch.slam.search.bases import Run
 from magmatch.slam.session import Session, names_of, require_distinct
-from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Matrix, Points, Scalars
-from magmatch.workers import bit_for_bit
+from magmatch.typing import Covariance6, Points, Vector3
+from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
 
 # No probability is nearer to one than this: odds stay finite.
-LEAST_DOUBT = 1e-12
+LEAST_ERROR = 1e-12
 # Trees of closures tried for a start.
 N_TREES = 64
-# Of a registration: transform, covariance, probability.
-N_NUMBERS = 16 + 36 + 1
 
 
 def merge(
@@ -52,7 +47,7 @@ def merge(
     config: RegistrationConfig | None = None,
     *,
     seed: int = 0,
-    run: Run | None = None,
+    run: Workers | None = None,
     progress: Progress | None = None,
     keep: str | FilePath | None = None,
 ) -> Session:
@@ -89,32 +84,17 @@ def merge(
         raise ConfigurationError(msg)
     samples, clock = [survey_of(survey) for survey in given], Clock()
     require_distinct(samples)
-    elsewhere = None if run is None else bit_for_bit(run)
-    steps = Steps(
-        keep, version=__version__, config=config.model_dump(mode="json"), seed=seed,
-        inputs=[describe_input(survey) for survey in samples],
-        maps=[_of_map(one) if isinstance(one, FieldMap) else None for one in given],
-    )  # fmt: skip
-    with followed(progress), one_blas_thread():
+    with followed(progress), one_blas_thread(), Runner(run, keep, (Registered,)) as runner:
         with clock("maps"):
             maps = [as_map(survey, config.field) for survey in counted("mapping", given)]
         paths = [_rigid(survey, k) for k, survey in enumerate(samples)]
         graph = _unconnected(np.stack([survey.centroid for survey in samples]))
         with clock("registration"):
-            try:
-                graph.closures = _register_pairs(maps, samples, config, seed, steps, elsewhere)
-            finally:
-                steps.keep()
+            graph.closures = _register_pairs(maps, samples, config, seed, runner)
         with clock("graph"):
             _lay_out(graph)
             solve(graph)
     return Session(config, samples, Places(paths, graph, graph.config), clock.seconds(), seed, is_rigid=True)
-
-
-def _of_map(field_map: FieldMap) -> list[object]:
-    """What a map is of, beside its samples."""
-    T = field_map.T_domain_model.as_matrix().tolist()
-    return [field_map.config.model_dump(mode="json"), asdict(field_map.hyperparameters), T]
 
 
 def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
@@ -128,61 +108,58 @@ def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Pair:
-    """Two surveys to register."""
+class Registered:
+    """An accepted registration."""
 
-    name: str
-    base: FieldMap | MapIndex
-    target: FieldMap
-    config: RegistrationConfig
-    seed: int
-    home: int | None = None
+    T_base_target: RigidTransform
+    covariance: Covariance6
+    probability: float
 
 
 def _register_pairs(
-    maps: Sequence[FieldMap], samples: Sequence[Survey], config: RegistrationConfig, seed: int, steps: Steps,
-    run: Run | None,
-) -> list[Closure]:  # fmt: skip
-    """Closures between all pairs that registration accepts, a step each."""
-    pairs, names = list(combinations(range(len(maps)), 2)), names_of(samples)
-    new = pairs[steps.n_kept :]
-
-    def tasks() -> Iterator[_Pair]:
-        index = None
-        for a, b in new:
-            # Each base is prepared once, or by whoever takes the pair.
-            if run is None and (index is None or index.field_map is not maps[a]):
-                index = prepare_index(maps[a], config)
-            yield _Pair(f"{names[a]} and {names[b]}", index or maps[a], maps[b], config, seed)
-
-    found = iter((run or map)(_register, tasks()))
+    maps: Sequence[FieldMap], samples: Sequence[Survey], config: RegistrationConfig, seed: int, run: Runner
+) -> list[Closure]:
+    """Closures between all pairs that registration accepts."""
+    pairs, names, about = list(combinations(range(len(maps)), 2)), names_of(samples), list(map(_about, maps, samples))
+    bases = [
+        Shared(prepare_index, (one, config), len(survey), (of, config))
+        for one, survey, of in zip(maps, samples, about, strict=True)
+    ]
+    tasks = [
+        Task(f"{names[a]} and {names[b]}", (bases[a], maps[b], config, seed), (bases[a], about[b], config, seed))
+        for a, b in pairs
+    ]
     closures: list[Closure] = []
-    for a, b in counted("registering pairs", pairs):
-        rows = steps(lambda: next(found))
-        log.info("%s and %s: %s", names[a], names[b], "tied" if len(rows) else "not tied")
-        closures += [_closure(a, b, row, samples[a], samples[b]) for row in rows]
+    for (a, b), found in zip(pairs, run(_register, tasks, "registering pairs"), strict=True):
+        log.info("%s and %s: %s", names[a], names[b], "not connected" if found is None else "connected")
+        if found is not None:
+            closures.append(_closure(a, b, found, samples[a].centroid, samples[b].centroid))
     return closures
 
 
-def _register(pair: _Pair) -> Matrix:
-    """A row with transform, covariance and probability of a registration; none if it is refused."""
-    result = register(pair.base, pair.target, pair.config, seed=pair.seed)
+def _about(field_map: FieldMap, samples: Survey) -> tuple[object, ...]:
+    """Content that a map follows from, its samples included."""
+    return samples, field_map.config, field_map.hyperparameters, field_map.T_domain_model
+
+
+def _register(base: MapIndex, target: FieldMap, config: RegistrationConfig, seed: int) -> Registered | None:
+    """Register a pair; None if it is refused."""
+    result = register(base, target, config, seed=seed)
     log.info("%s", result.reason)
     if not result.is_accepted:
-        return np.zeros((0, N_NUMBERS))
+        return None
     assert result.T_base_target is not None
     assert result.covariance is not None
-    T, C = result.T_base_target.as_matrix().ravel(), result.covariance.ravel()
-    return np.concatenate([T, C, [result.probability]])[None]
+    assert result.probability is not None
+    return Registered(result.T_base_target, result.covariance, result.probability)
 
 
-def _closure(a: int, b: int, row: Scalars, base: Survey, target: Survey) -> Closure:
-    """A registration as a tie between centroids: about its frame's origin, far away, a turn would be a shift."""
-    T = RigidTransform.from_translation(-base.centroid) * transform_from_matrix(row[:16].reshape(4, 4))
-    T = T * RigidTransform.from_translation(target.centroid)
-    p = min(float(row[-1]), 1 - LEAST_DOUBT)
+def _closure(a: int, b: int, found: Registered, center_a: Vector3, center_b: Vector3) -> Closure:
+    """A registration as a closure between centroids: about its frame's origin, far away, a turn would be a shift."""
+    T = RigidTransform.from_translation(-center_a) * found.T_base_target * RigidTransform.from_translation(center_b)
+    p = min(found.probability, 1 - LEAST_ERROR)
     odds = float(np.log(p / (1 - p)))
-    return Closure(a, b, T, covariance_about(row[16:-1].reshape(6, 6), target.centroid), odds)
+    return Closure(a, b, T, covariance_about(found.covariance, center_b), odds)
 
 
 def _rigid(survey: Survey, k: int) -> Path:
@@ -202,25 +179,25 @@ def _unconnected(centers: Points) -> PoseGraph:
 
 
 def _lay_out(graph: PoseGraph) -> None:
-    """Initial poses of the surveys from closures that agree: least squares must start near the solution.
+    """Set initial poses of the surveys by closures that agree: least squares must start near the solution.
 
     Of the spanning tree of the most probable closures and many random ones, the tree with which most closures agree
     is chosen. Starting from a compromise between right and wrong closures, all would seem wrong.
     """
     rng, n = np.random.default_rng(0), len(graph.p)
-    odds = graph.ties.odds
+    odds = graph.as_arrays.odds
     best, most = None, -np.inf
     for k in range(N_TREES if n > 2 else 1):
         order = np.argsort(-odds if k == 0 else rng.permutation(len(odds)), kind="stable")
         poses = _tree(graph, [graph.closures[c] for c in order])
-        # Along a tree errors add up: a tie that closes it is off by those of up to n.
-        doubted = odds - 0.5 * np.maximum(_squares(graph.closures, poses) / n - 6.0, 0.0)
-        if (agreed := float(np.logaddexp(0.0, doubted).sum())) > most:
-            best, most = (poses, doubted), agreed
+        # Along a tree errors add up: a closure outside it is off by those of up to n.
+        log_odds = odds - 0.5 * np.maximum(_squares(graph.closures, poses) / n - 6.0, 0.0)
+        if (agreed := float(np.logaddexp(0.0, log_odds).sum())) > most:
+            best, most = (poses, log_odds), agreed
     if best is not None and graph.closures:
-        poses, doubted = best
+        poses, log_odds = best
         graph.R, graph.p = np.stack([rotation_matrix(T) for T in poses]), np.stack([T.translation for T in poses])
-        graph.weigh_closures(expit(doubted))
+        graph.weigh_closures(expit(log_odds))
 
 
 def _squares(closures: Sequence[Closure], poses: Sequence[RigidTransform]) -> np.ndarray:

@@ -8,9 +8,9 @@ from magmatch.arguments import expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.progress import Progress
+from magmatch.runner import Workers
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
-from magmatch.slam.search.bases import Run
 from magmatch.slam.session import Session
 
 
@@ -19,7 +19,7 @@ def slam(
     config: SlamConfig | None = None,
     *,
     anchors: Sequence[Anchor] | str | Path = (),
-    run: Run | None = None,
+    run: Workers | None = None,
     progress: Progress | None = None,
     keep: str | Path | None = None,
 ) -> Session:
@@ -34,9 +34,9 @@ def slam(
         Fixed points, or a table of them (``log,t,x,y,z,sd``, or ``lat,lon`` for ``x,y``). If they determine the
         frame, the logs that they fix are in it.
     run : callable, optional
-        Lets other processes map and compare stretches, such as `magmatch.workers.DaskRunner`: called with a function
+        Lets other processes make and compare submaps, such as `magmatch.workers.DaskRunner`: called with a function
         and tasks, which can be pickled, it gives the results in the tasks' order. By default this process does all
-        of it; it maps stretches on the cores that are free. The result is the same bit for bit.
+        of it; it makes submaps on the cores that are free. The result is the same bit for bit.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.
     keep : path, optional

@@ -49,23 +49,23 @@ def in_one_calibration(survey: Survey, sample: int | None = None) -> Survey:
     return replace(survey, field=survey.orientations.apply(found.joined(SensorLog.of(survey), sample).readings))
 
 
-def sensor_bias(survey: Survey, numbers: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:
+def sensor_bias(survey: Survey, h: Hyperparameters, config: SlamConfig) -> tuple[Vector3, Vector3]:
     """Bias of the magnetometer in its own axes, and its sd, T; zero without orientations or with an axis stuck."""
     if survey.orientations is None or stuck_axes(survey):
         return np.zeros(3), np.zeros(3)
     turned = _headings_alone(survey.orientations) if config.is_gravity_aligned else survey.orientations
-    rows = bin_along_path(np.ascontiguousarray(survey.positions), numbers.lengthscale / BINS)
+    rows = bin_along_path(np.ascontiguousarray(survey.positions), h.lengthscale / BINS)
     x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, turned.as_matrix()))
     A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
     walked, drift = path_walked(x), config.odometry_of(survey.name)
     # A small turn of the axes, about each that drifts, is a change of the field across it.
     axes = np.eye(3)[2:] if config.is_gravity_aligned else np.eye(3)
     across = np.cross(axes, survey.field.mean(axis=0))
-    parts = (walked / (PART_LENGTH * numbers.lengthscale)).astype(np.int64)
+    parts = (walked / (PART_LENGTH * h.lengthscale)).astype(np.int64)
     for part in np.unique(parts):
         some = np.flatnonzero(parts == part)
-        d, s = np.sqrt(5) * cdist(x[some], x[some]) / numbers.lengthscale, walked[some]
-        C = numbers.signal_sd**2 * (1 + d + d * d / 3) * np.exp(-d) + numbers.noise_sd**2 * np.eye(len(some))
+        d, s = np.sqrt(5) * cdist(x[some], x[some]) / h.lengthscale, walked[some]
+        C = h.signal_sd**2 * (1 + d + d * d / 3) * np.exp(-d) + h.noise_sd**2 * np.eye(len(some))
         turn = drift.rotation_sd**2 * np.minimum.outer(s, s) + drift.turn_rate_sd**2 * np.outer(s, s)
         factor = cho_factor(np.kron(np.eye(3), C) + np.kron(across.T @ across, turn), lower=True)
         # Component by component, as the covariance.

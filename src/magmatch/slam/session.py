@@ -24,25 +24,25 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
+from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
+from magmatch.slam.begin import settled
 from magmatch.slam.config import OdometryConfig, SlamConfig
-from magmatch.slam.find_places import find, go_on, settled
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
-from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import most_contradicted
+from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
+from magmatch.slam.loop_search import KINDS
 from magmatch.slam.places import Places
 from magmatch.slam.result import LogResult, Odometry, SlamResult, SlamStatus
-from magmatch.slam.search.bases import Run
+from magmatch.slam.slam import correct, correct_more
 from magmatch.slam.statement import explain, state_anchors, state_closure, state_odometry
-from magmatch.slam.steps import Steps
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Vector3
-from magmatch.workers import bit_for_bit
 
 log = logging.getLogger(__name__)
 
@@ -94,7 +94,7 @@ class Session:
         logs: Sequence[Survey],
         anchors: Sequence[Anchor] | str | FilePath = (),
         *,
-        run: Run | None = None,
+        run: Workers | None = None,
         progress: Progress | None = None,
         keep: str | FilePath | None = None,
     ) -> None:
@@ -133,21 +133,11 @@ class Session:
         fixed = [(a, of) for a, of in passed if (of, a.numbers) not in known]
         if earlier is None or earlier.maker is None:
             config = settled(given, config)
-        steps = Steps(
-            keep, version=__version__, config=config.model_dump(mode="json"),
-            inputs=[describe_input(survey) for survey in given], n_earlier=len(self.given),
-            closures=[c.log_odds for c in earlier.graph.closures] if earlier else [],
-            anchors=[[a.log, *a.numbers] for a, _ in fixed],
-        )  # fmt: skip
-        try:
-            with followed(progress):
-                elsewhere = None if run is None else bit_for_bit(run)
-                if earlier is None or earlier.maker is None:
-                    places = find(given, config, fixed, steps, elsewhere, clock)
-                else:
-                    places = go_on(earlier, logs, fixed, steps, elsewhere, clock)
-        finally:
-            steps.keep()
+        with followed(progress), Runner(run, keep, KINDS) as runner:
+            if earlier is None or earlier.maker is None:
+                places = correct(given, config, fixed, runner, clock)
+            else:
+                places = correct_more(earlier, logs, fixed, runner, clock)
         places.stated = places.stated.model_copy(update={"origin": origin})
         self.config, self.given, self.places = config, given, places
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
@@ -229,7 +219,7 @@ class Session:
 
     @property
     def _now(self) -> Places:
-        """What is known, with the log that is being walked."""
+        """The present state, with the log that is being walked."""
         live = None if self._live is None else self._live.places
         places = live or self.places
         if places is None:
@@ -292,9 +282,9 @@ class Session:
         """The result as a document."""
         names, closures = self.names, self.graph.closures
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
-        ties = [c for c in closures if c.is_kept]
+        kept = [c for c in closures if c.is_kept]
         anchors = self._now.anchors
-        if not ties and not any(log.is_fixed for log in logs):
+        if not kept and not any(log.is_fixed for log in logs):
             status = SlamStatus.UNCHANGED
         else:
             status = SlamStatus.CONNECTED if len(self.components) == 1 else SlamStatus.PARTLY_CONNECTED
@@ -304,8 +294,8 @@ class Session:
             explain(
                 status,
                 groups,
-                len(ties),
-                len(closures) - len(ties),
+                len(kept),
+                len(closures) - len(kept),
                 len(anchors),
                 self._bent(),
                 self._guessed(),
@@ -328,7 +318,7 @@ class Session:
         return [*self.given, *live]
 
     def _bent(self) -> Window | None:
-        """A window, where none keeps its shape."""
+        """One of the windows, if none keeps its shape."""
         windows = [] if self._now.maker is None else [w for p in self.paths for w in p.windows]
         return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
 
@@ -346,14 +336,14 @@ class Session:
         moved = after.positions - T.apply(path.survey.positions)
         nodes = set(path.nodes.tolist())
         is_fixed = self.graph.is_fixed(path.first_node)
-        is_tied = len(self.paths) == 1 or len(self.components[component]) > 1 or is_fixed
+        is_placed = len(self.paths) == 1 or len(self.components[component]) > 1 or is_fixed
         C = self.graph.covariances(path.nodes[-1:])[0]
         if not self.is_rigid:
             C = covariance_of_end(path, C, self.graph.config, from_start=not is_fixed)
         return LogResult(
             self.names[log],
             component,
-            T if is_tied else None,
+            T if is_placed else None,
             float(path.walked[-1]),
             sum(c.is_kept and bool({c.first, c.second} & nodes) for c in self.graph.closures),
             float(np.sqrt((moved**2).sum(axis=1).mean())),
@@ -367,7 +357,7 @@ class Session:
         return self.graph.pose(path.first_node) * RigidTransform.from_translation(-path.windows[0].center)
 
     def standard_deviations(self, nodes: Indices) -> list[tuple[float, float]]:
-        """Of nodes against the first node of their component, or in the frame of the fixed points: m and rad."""
+        """Standard deviations of nodes (m, rad) against their component's first, or in the fixed points' frame."""
         return [_place_and_turn(C) for C in self.graph.covariances(nodes)]
 
     def covariances_of_place(self, nodes: Indices) -> np.ndarray:

@@ -99,14 +99,14 @@ def explain(
     guessed: tuple[float, float] | None = None,
     bent_logs: Sequence[str] = (),
 ) -> str:
-    """In words: how the logs are connected, or how they could be; or a window that does not keep its shape.
+    """Say in words how the logs are connected, or how they could be; or name a window that does not keep its shape.
 
     ``guessed``: the drift (m, deg) that was neither stated nor learned. ``bent_logs``: those that were corrected by
     more than it makes possible.
     """
     n = sum(map(len, groups))
-    ties = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
-    ties += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""
+    found = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
+    found += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""
     if status is SlamStatus.UNCHANGED and bent is not None:
         return (
             f"odometry may bend {bent.path_length:.2g} m of path by {bent.bends_by:.2g} m, "
@@ -115,7 +115,7 @@ def explain(
         )
     if status is SlamStatus.UNCHANGED:
         what = "the field shows no revisited place" if n == 1 else "no closure connects the logs"
-        return f"{what} ({ties}); pass some stretches twice, a few correlation lengths each"
+        return f"{what} ({found}); pass some stretches twice, a few correlation lengths each"
     guess = "" if guessed is None else (
         "; odometry is assumed to drift by {:g} m and {:g} degrees in 10 m: state yours with --odometry-sd"
     ).format(*guessed)  # fmt: skip
@@ -125,9 +125,9 @@ def explain(
             "fixed point, or odometry worse than stated (--odometry-sd)"
         )
     if status is SlamStatus.CONNECTED:
-        return f"{ties}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}{guess}"
+        return f"{found}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}{guess}"
     alone = [group[0] for group in groups if len(group) == 1]
-    words = f"{ties}; {_count(n, 'log')} in {len(groups)} frames of their own"
+    words = f"{found}; {_count(n, 'log')} in {len(groups)} frames of their own"
     words += f"; connected to no other: {_some(alone)}" if alone else ""
     return words + guess
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log divided into windows: stretches of path over which odometry is nearly rigid, each a node of the graph."""
+"""Windows of a log: parts of its path over which odometry is nearly rigid, each a node of the graph."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -23,7 +23,7 @@ MOST_BEND = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A stretch of a log's path."""
+    """A part of a log's path."""
 
     log: int  # which log, and which node of the graph
     node: int
@@ -46,12 +46,12 @@ class Window:
 
     @property
     def T_log_node(self) -> RigidTransform:
-        """Odometry's frame from the node's."""
+        """Transform to odometry's frame, from the node's."""
         return RigidTransform.from_translation(self.center)
 
     @cached_property
     def walk(self) -> Walk:
-        """In bins along the path."""
+        """Samples of the window in bins along the path."""
         return walk_of(self.survey, self.length)
 
     @property
@@ -62,14 +62,14 @@ class Window:
 
     @cached_property
     def T_middle_node(self) -> RigidTransform:
-        """Middle of the walk, in the walk's axes, from the node."""
+        """Transform to the middle of the walk, in the walk's axes, from the node."""
         walk = self.walk
         T_log_middle = walk.T_survey_walk * RigidTransform.from_translation(walk.positions.mean(axis=0))
         return T_log_middle.inv() * self.T_log_node
 
     @cached_property
     def bending(self) -> np.ndarray:
-        """How odometry bends it and the path it is compared with, which drifts too: see `bend`; walk's axes."""
+        """Effect of odometry's errors on it and on the path beside it, which drifts too: see `bend`; walk's axes."""
         T, c = self.walk.T_survey_walk, self.config
         positions = T.apply(self.walk.positions)
         about = int(np.argmin(np.linalg.norm(positions - self.center, axis=1)))
@@ -103,7 +103,7 @@ class Path:
 
     @property
     def nodes(self) -> Indices:
-        """Of its windows."""
+        """Nodes of its windows."""
         return self.first_node + np.arange(len(self.windows))
 
     @property
@@ -112,7 +112,7 @@ class Path:
         return np.stack([w.center for w in self.windows])
 
     def only(self, some: slice) -> "Path":
-        """The same log with some of its windows alone."""
+        """Select some windows of the log."""
         windows = self.windows[some]
         return replace(self, windows=windows, first_node=windows[0].node)
 

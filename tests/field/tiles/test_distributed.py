@@ -13,6 +13,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.tiles.tile_fit import fit_weights
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
+from magmatch.runner import Runner
 from magmatch.workers import DaskRunner
 
 pytest.importorskip("distributed")
@@ -33,13 +34,13 @@ def tasks():
     x = rng.uniform(0, [8, 0.3, 0.1], (400, 3))
     model = TiledModel.over(x, H, Tiling(0.2, 5, 2, core=8))
     tasks = model.tasks(model.observe(x, 1e-5 * np.sin(x)))
-    return [tasks.task(k) for k in range(len(model.tiles))]
+    return [tasks.task(k).as_task for k in range(len(model.tiles))]
 
 
 @pytest.fixture(scope="module")
 def workers():
     with DaskRunner(jobs=2) as run:
-        yield run
+        yield Runner(run)
 
 
 def fails(task):
@@ -68,7 +69,7 @@ def dies_once(task, flag):
 
 def test_workers_give_the_same_bits_and_one_that_dies_changes_nothing(workers, tasks, tmp_path):
     flag = tmp_path / "died"
-    here = [fit_weights(task) for task in tasks]
+    here = [fit_weights(*task.arguments) for task in tasks]
     there = list(workers(lambda task: dies_once(task, flag), iter(tasks)))
     assert flag.exists()
     assert all(np.array_equal(a, b) for a, b in zip(here, there, strict=True))
@@ -77,7 +78,7 @@ def test_workers_give_the_same_bits_and_one_that_dies_changes_nothing(workers, t
 def test_task_that_raises_ends_in_one_line_and_the_workers_go_on(workers, tasks):
     with pytest.raises(TaskError, match=r"^tile 2\.-?\d\.-?\d failed on a worker: pivot 7 of 9 fails$"):
         list(workers(fails, tasks))
-    assert np.array_equal(next(workers(fit_weights, tasks[:1])), fit_weights(tasks[0]))
+    assert np.array_equal(next(workers(fit_weights, tasks[:1])), fit_weights(*tasks[0].arguments))
 
 
 def test_few_tasks_are_on_their_way_at_any_time(workers, tasks):

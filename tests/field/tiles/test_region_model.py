@@ -17,7 +17,7 @@ def test_a_stored_fit_is_recalled_for_its_own_samples_and_made_again_for_others(
     assert isinstance(model, WholeModel)
 
     def run(fit, tasks):
-        n_fitted.append(len(tasks))
+        n_fitted.append(len(tasks := list(tasks)))
         return map(fit, tasks)
 
     first = model.fit(x, b, {}, run)

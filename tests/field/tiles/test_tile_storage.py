@@ -82,7 +82,7 @@ def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeyp
 
     def run(fit, tasks):
         for task in tasks:
-            fitted.append(task.index)
+            fitted.append(task.arguments[0].index)
             yield fit(task)
 
     added = before.with_surveys(walk(13, 15, seed=1, name="later"), run=run)
@@ -101,7 +101,7 @@ def test_leaving_samples_out_fits_only_the_tiles_that_saw_them(old):
 
     def run(fit, tasks):
         for task in tasks:
-            fitted.append(task.index)
+            fitted.append(task.name)
             yield fit(task)
 
     is_out = np.zeros(len(old.survey), dtype=bool)

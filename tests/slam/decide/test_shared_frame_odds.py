@@ -7,14 +7,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.runner import Runner
 from magmatch.slam.decide.shared_frame_odds import log_odds_shared
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.loop_closer import LoopCloser
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 
 HERE = RigidTransform.identity()
-AT_ONCE, NOWHERE = -2.0, -7.0  # log densities of the prior: given the tie, and from nowhere
+AT_ONCE, NOWHERE = -2.0, -7.0  # log densities of the prior: given the closure, and from nowhere
 
 
 def candidate(log_odds):
@@ -29,8 +31,8 @@ def unconnected(session):
 
 
 @pytest.fixture(scope="module")
-def tied(three):
-    """Two logs of one place as slam left them, and what a tie at the second one's first window would say."""
+def connected(three):
+    """Two logs of one place as slam left them, and what a closure at the second one's first window would say."""
     a, b, _ = three.session.places.paths
 
     def odds(of_windows):
@@ -42,16 +44,16 @@ def tied(three):
 
 
 @given(st.data())
-def test_more_agreement_never_lowers_the_odds(tied, data):
-    odds, n = tied
+def test_more_agreement_never_lowers_the_odds(connected, data):
+    odds, n = connected
     said = data.draw(st.lists(st.floats(-30, 30), min_size=n, max_size=n))
     k, more = data.draw(st.integers(0, n - 1)), data.draw(st.floats(0, 10))
     assert odds([x + more * (j == k) for j, x in enumerate(said)]) >= odds(said) - 1e-9
 
 
 @given(st.data())
-def test_a_window_adds_at_most_its_odds_and_a_silent_one_nothing(tied, data):
-    odds, n = tied
+def test_a_window_adds_at_most_its_odds_and_a_silent_one_nothing(connected, data):
+    odds, n = connected
     alone = [5.0] + [None] * (n - 1)
     assert odds(alone) == pytest.approx(5.0 - AT_ONCE + NOWHERE)  # it pays for the transform
     k, said = data.draw(st.integers(1, n - 1)), data.draw(st.floats(-30, 30))
@@ -59,8 +61,8 @@ def test_a_window_adds_at_most_its_odds_and_a_silent_one_nothing(tied, data):
     assert min(said, np.log(1 - 0.8)) - 1e-9 <= gain <= max(said, 0.0) + 1e-9
 
 
-def test_without_a_window_that_proposed_it_nothing_is_shared(tied):
-    odds, n = tied
+def test_without_a_window_that_proposed_it_nothing_is_shared(connected):
+    odds, n = connected
     assert odds([None] + [9.0] * (n - 1)) == -np.inf
 
 
@@ -72,11 +74,12 @@ def test_a_stranger_that_one_window_takes_for_known_path_is_not_connected(three)
     candidates = [[] for _ in stranger.windows]
     candidates[0] = [Candidate(a.first_node + 1, RigidTransform.identity(), said)]
     before = places.graph.p.copy()
-    assert places.connect(stranger, candidates) == 0
+    closer = LoopCloser(places, Runner())
+    assert closer.connect(stranger, candidates) == 0
     np.testing.assert_array_equal(places.graph.p, before)
     assert not places.graph.closures
-    # Nor is any noise learned from where the refused tie put its windows.
-    assert not places.looked
+    # Nor is any noise learned from where the refused closure put its windows.
+    assert not closer.search.predicted
 
 
 def test_a_log_of_the_same_place_is_connected_by_one_window_too(three):
@@ -87,6 +90,6 @@ def test_a_log_of_the_same_place_is_connected_by_one_window_too(three):
     said = Match(HERE, sure.covariance, 12.0, NOWHERE, HERE, sure.covariance)
     candidates = [[] for _ in b.windows]
     candidates[sure.second - b.first_node] = [Candidate(sure.first, sure.T_first_second, said)]
-    found = places.connect(b, candidates)
+    found = LoopCloser(places, Runner()).connect(b, candidates)
     assert found > 1  # the windows beside it close as well
     assert places.graph.closures[0].first == sure.first

@@ -14,11 +14,11 @@ from magmatch.data.geodesy import Origin, local_east_north
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points, in_metres, of_logs, read_anchors
-from magmatch.slam.graph.doubt import MOST_BENT, strains
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import most_contradicted, solve
+from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.output.graph_files import write_graph
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
 from magmatch.slam.statement import explain

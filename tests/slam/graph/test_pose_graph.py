@@ -291,7 +291,7 @@ def test_a_node_is_no_less_known_beside_another_than_both_are_and_the_turn_betwe
         assert (graph.sds_of_place(firsts, second) <= graph.most_sds_of_place(firsts, second)).all()
 
 
-def test_a_closure_that_lost_its_weight_ties_no_logs():
+def test_a_closure_that_lost_its_weight_connects_no_logs():
     graph = graph_of(ring(8), logs=np.repeat([0, 1], 4))
     graph.closures = [replace(between(graph.p, 1, 5), weight=0.2)]
     assert graph.component().tolist() == [0] * 4 + [1] * 4

@@ -7,7 +7,7 @@ import numpy as np
 
 from drifting import Place, drifting_walk
 from magmatch.data.formats.phones.phone_log import SurveyedPoints
-from magmatch.slam.graph.waypoints import WAYPOINT_SD, warn_of_floors, waypoints
+from magmatch.slam.graph.anchors import WAYPOINT_SD, warn_of_floors, waypoints
 
 LOG, _ = drifting_walk(Place(1), 1, laps=0.3)
 START, END = float(LOG.times[0]), float(LOG.times[-1])

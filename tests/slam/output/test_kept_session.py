@@ -8,9 +8,9 @@ import pytest
 
 from drifting import Place, drifting_walk
 from magmatch.errors import DataFormatError
+from magmatch.slam.loop_search import LoopSearch
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.kept_session import KINDS, SCHEMA, SESSION, read_session
-from magmatch.slam.places import Places
 from magmatch.store import load, save
 
 OTHER, _ = drifting_walk(Place(1), 2, laps=1.2, start=2.0, name="b.csv")
@@ -37,11 +37,13 @@ def test_a_session_read_again_is_what_it_was(lone, folder):
 
 
 def test_one_more_log_is_tied_and_nothing_is_looked_for_again(lone, folder, monkeypatch):
-    looked = []
-    at = Places.at
-    monkeypatch.setattr(
-        Places, "at", lambda self, windows, nodes: looked.extend(w.log for w in windows) or at(self, windows, nodes)
-    )
+    looked, at = [], LoopSearch.at
+
+    def noted(self, windows, *about):
+        looked.extend(window.log for window in windows)
+        return at(self, windows, *about)
+
+    monkeypatch.setattr(LoopSearch, "at", noted)
     session, new = read_session(folder, [lone.log, OTHER])
     session.add_logs(new)
     assert session.components == [[0, 1]]

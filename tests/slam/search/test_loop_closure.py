@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
+from drifting import submap_at
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.search import loop_closure
-from magmatch.slam.search.comparison import Comparison, Searched, compare
+from magmatch.slam.search.comparison import Searched, compare
 from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
 
 
@@ -23,10 +24,10 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
-    (found, *_) = matches(window, places.stretch(closure.first), rough)
+    (found, *_) = matches(window, submap_at(places, closure.first), rough)
     assert np.linalg.norm(found.T_base_log.apply(window.center) - T.apply(window.center)) < 0.1
     assert found.log_odds > 0
-    assert not matches(window, places.stretch(closure.first), 100.0)
+    assert not matches(window, submap_at(places, closure.first), 100.0)
 
 
 def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):
@@ -83,7 +84,7 @@ def near(lone):
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
     rough = Rough(T, np.diag([0.01, 0.01, 0.1, 0.2, 0.2, 0.05]) ** 2)
-    return SimpleNamespace(window=window, base=places.stretch(closure.first), rough=rough, node=closure.first)
+    return SimpleNamespace(window=window, base=submap_at(places, closure.first), rough=rough, node=closure.first)
 
 
 def test_poses_that_are_no_longer_expected_are_not_weighed(near):
@@ -130,7 +131,7 @@ def test_a_pose_that_the_graph_knows_well_is_refined_without_a_search(lone, near
     assert not near.rough.is_narrow(near.window.length)
 
     def look(rough):
-        return compare(Comparison(near.window, near.base, rough, places.maker.noise, nodes=np.array([near.node])))
+        return compare(near.window, near.base, rough, places.maker.noise, nodes=np.array([near.node]))
 
     searched = look(near.rough)
     monkeypatch.setattr(loop_closure, "pair_search", None)

@@ -18,8 +18,9 @@ from scipy.spatial import cKDTree
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import chunks
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
-from magmatch.field.linear_model import Axes, Index, Runner, StoredTile
+from magmatch.field.linear_model import Axes, Index, StoredTile
 from magmatch.field.values import FieldValues
+from magmatch.runner import Workers
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
 
 # Stands for a constant field that is held at zero, T.
@@ -135,7 +136,7 @@ class InducingModel:
         return InducingPosterior(self, factor, white, self.weights_of(white))
 
     def fit(
-        self, points: Points, field: Vectors, _stored: Mapping[Index, StoredTile], _run: Runner, /
+        self, points: Points, field: Vectors, _stored: Mapping[Index, StoredTile], _run: Workers | None, /
     ) -> "InducingPosterior":
         """Posterior of samples: one piece, which loading fits again."""
         return self.infer(self.observe(points, field))

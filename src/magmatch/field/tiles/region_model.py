@@ -9,10 +9,11 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky.cells import count_active_cells, lay_cells
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, Runner, StoredTile
+from magmatch.field.linear_model import Index, Posterior, StoredTile
 from magmatch.field.spline.spline_model import WHOLE, SplineModel, SplinePosterior
 from magmatch.field.tiles.tile_fit import TileTasks, fit_weights
 from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.runner import Runner, Workers
 from magmatch.typing import Points, Vectors
 
 # What one factor may cost: floating-point operations (about a second), and cells of the region and of the box around
@@ -31,14 +32,14 @@ class WholeModel(SplineModel):
         return self.elimination.n_operations
 
     def fit(
-        self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Runner, /
+        self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Workers | None, /
     ) -> SplinePosterior:
         """Fit samples, or recall the very fit of them that is stored."""
         if not stored:
             return self.infer_in_single_precision(self.observe(points, field))
         task = self.tasks_of(points, field).task(0)
         is_same = WHOLE in stored and stored[WHOLE].fingerprint == task.fingerprint()
-        return task.recall(stored[WHOLE].weights if is_same else next(iter(run(fit_weights, [task]))))
+        return task.recall(stored[WHOLE].weights if is_same else next(Runner(run)(fit_weights, [task.as_task])))
 
     def tasks_of(self, points: Points, field: Vectors) -> TileTasks:
         """What the weights follow from."""

@@ -19,6 +19,7 @@ from magmatch.field.spline.spline_model import SplineInformation, SplineModel, S
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.workers import Task
 
 # Changes with whatever lets the same samples and numbers give other weights: stored fits are then done again.
 LAYOUT = "magmatch.tile/2"
@@ -46,14 +47,9 @@ class TileTask:
     parts: list[Samples]  # samples that inform it, as far as they lie in its box, less those of all further parts
 
     @property
-    def name(self) -> str:
-        """In words."""
-        return "tile " + ".".join(map(str, self.index))
-
-    @property
-    def home(self) -> None:
-        """None: what is made for one tile serves no other."""
-        return
+    def as_task(self) -> Task:
+        """The tile as a runner takes it."""
+        return Task("tile " + ".".join(map(str, self.index)), (self,))
 
     def fingerprint(self) -> str:
         """SHA-256 of everything that determines the weights."""

@@ -13,12 +13,13 @@ from itertools import count
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Runner, StoredTile
+from magmatch.field.linear_model import Index, StoredTile
 from magmatch.field.tiles.tile_cache import TileCache
 from magmatch.field.tiles.tile_fit import Samples, TileTasks, fit_weights
 from magmatch.field.tiles.tiled_posterior import FACTORED_BYTES, TiledPosterior
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.progress import tell
+from magmatch.runner import Runner, Workers
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
@@ -69,17 +70,17 @@ class TiledModel:
 
     def infer(self, information: TiledInformation) -> TiledPosterior:
         """Posterior given information."""
-        return self._infer_tasks(self.tasks(information), {}, map)
+        return self._infer_tasks(self.tasks(information), {}, None)
 
     def fit(
-        self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Runner, /
+        self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Workers | None, /
     ) -> TiledPosterior:
         """Fit samples, but for tiles whose very fit is stored."""
         tasks = self.tasks_of(points, field)
         known = {i: tile.weights for i, tile in stored.items() if tile.fingerprint == tasks.fingerprint(i)}
         return self._infer_tasks(tasks, known, run)
 
-    def _infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Runner) -> TiledPosterior:
+    def _infer_tasks(self, tasks: TileTasks, known: Mapping[Index, Scalars], run: Workers | None) -> TiledPosterior:
         """Fit those tiles that are not known yet."""
         found, factored = dict(known), TileCache(FACTORED_BYTES)
         numbers = [k for k, index in enumerate(self.tiles) if index not in found]
@@ -89,11 +90,11 @@ class TiledModel:
             tell("fitting tiles", next(n_fitted) / len(numbers))
             return weights
 
-        if run is map:
+        if run is None:
             # Outliers and draws ask for the factors next: made here, some of them stay.
             fitted: Iterable[Scalars] = side_by_side(lambda k: noted(_fit_here(tasks, factored, k)), numbers)
         else:
-            fitted = map(noted, run(fit_weights, map(tasks.task, numbers))) if numbers else ()
+            fitted = map(noted, Runner(run)(fit_weights, (tasks.task(k).as_task for k in numbers))) if numbers else ()
         for k, weights in zip(numbers, fitted, strict=True):
             found[self.tiles[k]] = weights
         return TiledPosterior(tasks, [found[index] for index in self.tiles], factored)

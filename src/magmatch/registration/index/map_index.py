@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from magmatch._version import __version__
 from magmatch.brief import brief
 from magmatch.errors import DataFormatError
 from magmatch.field.map import FieldMap
@@ -29,6 +28,7 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, known_sampl
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.registration.search.kdtree import NeighbourTree
 from magmatch.registration.search.pair_search import PairTable
+from magmatch.runner import program
 from magmatch.store import Stored, naming, open_stored, save
 from magmatch.threads import one_blas_thread
 
@@ -246,16 +246,9 @@ def index_key(file: MapFile, config: RegistrationConfig) -> str:
         "map": file.sha256,
         "n_draws": config.invariants.n_draws,
         "pairs": config.walks.search.model_dump(mode="json"),
-        "program": [__version__, _source()],
+        "program": program(),
     }
     return hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()
-
-
-@cache
-def _source() -> str:
-    """SHA-256 of the program's own text: whatever is changed in it may change what is prepared."""
-    texts = sorted(path.read_bytes() for path in Path(__file__).parents[2].rglob("*.py"))
-    return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
 def open_index(file: MapFile, config: RegistrationConfig) -> IndexFile | None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether a tie from nowhere holds: all windows that it puts beside known path have a say.
+"""Odds of a closure from nowhere: all windows that it puts beside known path have a say.
 
-It ties two logs, or one whose drift has grown so large that it may be anywhere.
-Those that proposed the tie are the best of many windows and places. The others were not chosen: of a right tie most
-find their place where it says, of a wrong one none does.
+It connects two logs, or one whose drift has grown so large that it may be anywhere.
+Windows that proposed the closure are the best of many, at the best of many places. The others were not chosen: if the
+closure is right, most of them find their place where it says; if it is wrong, none does.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.windows import Window
 from magmatch.typing import Points
 
@@ -29,9 +29,9 @@ def log_odds_shared(
 ) -> float:
     """Log odds (nats) that windows share the frame of known path over that they are unconnected.
 
-    The windows are tied to known path, points (n, 3) in the component's frame (m), in the graph; ``found`` says for
-    each where it then lies on that. ``log_prior``: for the nodes that proposed the tie, the density of the prior that
-    they were found with, from nowhere. One window pays for the transform with that; it predicts the others.
+    The graph connects the windows to known path, points (n, 3) in the component's frame (m); ``found`` says for
+    each where it then lies on that. ``log_prior``: for the nodes that proposed closures, the density of the prior
+    that they were found with, from nowhere. One window pays for the transform with that; it predicts the others.
     """
     matches = (max((c.match for c in some), key=lambda m: m.log_odds, default=None) for some in found)
     best = {w.node: m for w, m in zip(windows, matches, strict=True) if m is not None}
@@ -45,12 +45,14 @@ def log_odds_shared(
     return float(free[first] + np.logaddexp(np.log1p(-chance), np.log(np.maximum(chance, 1e-300)) + odds).sum())
 
 
-def _chances_on_path(nodes: Sequence[int], tied: int, known: Points, length: float, graph: PoseGraph) -> np.ndarray:
-    """How likely each node is within a field length of known path, as the graph has it from a node that is tied."""
+def _chances_on_path(
+    nodes: Sequence[int], connected: int, known: Points, length: float, graph: PoseGraph
+) -> np.ndarray:
+    """Probability that each node is within a field length of known path, as a node on it sees them."""
     tree, draws = cKDTree(known), np.random.default_rng(0).standard_normal((N_DRAWS, 3))
     chances = []
     for node in nodes:
-        C = graph.relative_covariances(np.array([tied]), node)[0][3:, 3:]
+        C = graph.relative_covariances(np.array([connected]), node)[0][3:, 3:]
         w, V = np.linalg.eigh(C)
         points = graph.p[node] + (draws * np.sqrt(np.maximum(w, 0.0))) @ (graph.R[node] @ V).T
         chances.append(float(np.mean(tree.query(points)[0] < length)))

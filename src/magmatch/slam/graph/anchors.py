@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fixed points: known positions of a log at given times, in a surveyor's frame."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
 from magmatch.arguments import column_of, number_of, numbers_of
+from magmatch.data.formats.phones.phone_log import SurveyedPoints
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import text_lines
@@ -29,11 +31,15 @@ from magmatch.slam.graph.trajectories import around
 from magmatch.slam.windows import Path
 from magmatch.typing import Vector3
 
+logger = logging.getLogger(__name__)
+
 NUMBERS = ("t", "x", "y", "z", "sd")
 COLUMNS = ("log", *NUMBERS)
 DEGREES = {"x": "lat", "y": "lon"}  # columns that stand in for others
 # s; a point so long before the first sample or after the last still counts: marks and sensors start one by one.
 BEYOND = 1.0
+# Per axis, m: people who walk at 1 m/s press the button within some tenths of a second of the point.
+WAYPOINT_SD = 0.3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,7 +87,7 @@ class Anchor:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """As `NUMBERS` names them."""
+        """Time, coordinates and standard deviation, as `NUMBERS` names them."""
         return (self.t, *self.position.tolist(), self.sd)
 
 
@@ -128,7 +134,7 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
 def in_metres(
     anchors: Sequence[Anchor], origin: tuple[float, float] | None, earlier: Sequence[Anchor] = ()
 ) -> tuple[list[Anchor], tuple[float, float] | None]:
-    """Fixed points with those in degrees as metres east and north of an origin, and that: by default the first.
+    """Convert fixed points in degrees to metres east and north of an origin, given too: by default the first point.
 
     Points in metres, ``earlier`` ones too, have a frame that nothing ties to degrees, unless the origin is stated.
     """
@@ -159,7 +165,7 @@ def of_named(
     names: Sequence[str],
     spans: Sequence[tuple[float, float] | None],
 ) -> list[tuple[Anchor, int]]:
-    """The same of logs that are known by their files' names, by their own, and by their first and last times."""
+    """Fixed points with the log that passed each; logs are given as files' names, their own, and their spans in s."""
     found = []
     for anchor in anchors:
         known = [{name, file, FilePath(file).name} for name, file in zip(names, files, strict=True)]
@@ -203,3 +209,31 @@ def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -
         np.array([a.position for a, _ in anchors]).reshape(-1, 3),
         np.array(sds),
     )
+
+
+def waypoints(points: SurveyedPoints, survey: Survey, log: str) -> list[Anchor]:
+    """Points of one log as its fixed points; those that it has no samples near are left out, which is logged.
+
+    A plan says nothing of heights: each point lies as high as odometry has the log there.
+    """
+    times = survey.times
+    assert times is not None  # what phones log has times
+    is_passed = (points.times >= times[0] - BEYOND) & (points.times <= times[-1] + BEYOND)
+    if not is_passed.all():
+        words = "%s: %d of its %d surveyed points lie more than %g s before or after its samples (left out)"
+        logger.warning(words, survey.name, (~is_passed).sum(), len(is_passed), BEYOND)
+    heights = np.interp(points.times, times, survey.positions[:, 2])
+    rows = zip(points.times, points.places, heights, points.lines, is_passed, strict=True)
+    return [
+        Anchor(log, float(t), np.array([x, y, z]), WAYPOINT_SD, f"{survey.name}, line {line}", points.in_degrees)
+        for t, (x, y), z, line, counts in rows
+        if counts
+    ]
+
+
+def warn_of_floors(logs: Iterable[SurveyedPoints | None]) -> None:
+    """Say that logs were walked on several floors, whose heights dead reckoning does not know."""
+    floors = sorted({floor for points in logs if points is not None for floor in points.floors})
+    if len(floors) > 1:
+        words = "surveyed points lie on floors %s, and are taken as of one: give the logs of one floor alone"
+        logger.warning(words, ", ".join(floors))

@@ -15,7 +15,7 @@ from magmatch.compiled import compiled
 from magmatch.typing import Indices, Mask
 
 SIDE = 6
-# Of each node of the network to the ground, over that of a tie: small, so that currents reach far.
+# Conductance of each node of the network to the ground, over that of a resistor: small, so that currents reach far.
 GROUNDED = 1e-6
 # Where a block stands that is turned. A 0 that is written out would be a type of its own to the compiler.
 ONLY = np.int64(0)
@@ -122,12 +122,12 @@ def _flipped(blocks: np.ndarray, is_above: Mask) -> np.ndarray:
 def _order(i: Indices, j: Indices, n: int) -> tuple[Indices, Indices, Indices]:
     """Minimum degree order of n blocks of which some are coupled, and the pattern of L.
 
-    It is the pattern for a network of resistors with the same ties, in which nothing cancels.
+    It is the pattern for a network of resistors with the same pattern, in which nothing cancels.
     """
     off = i != j
     one, other = np.concatenate([i[off], j[off]]), np.concatenate([j[off], i[off]])
-    ties = csc_array(coo_array((np.full(len(one), -1.0), (one, other)), shape=(n, n)))
-    network = ties + diags_array(GROUNDED - np.asarray(ties.sum(axis=0)).ravel())
+    resistors = csc_array(coo_array((np.full(len(one), -1.0), (one, other)), shape=(n, n)))
+    network = resistors + diags_array(GROUNDED - np.asarray(resistors.sum(axis=0)).ravel())
     options = {"SymmetricMode": True}
     lu = splu(csc_array(network), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
     pattern = lu.L

@@ -31,7 +31,7 @@ class Edges:
 
     @classmethod
     def none(cls) -> "Edges":
-        """Without any."""
+        """No odometry."""
         nodes = np.zeros(0, np.int64)
         return cls(nodes, nodes, np.zeros((0, 3)), np.zeros((0, 6, 6)), np.zeros((0, 6, N_LASTING)), nodes)
 
@@ -41,7 +41,7 @@ class Edges:
         return np.linalg.inv(self.covariance)
 
     def with_more(self, more: "Edges") -> "Edges":
-        """These, then others."""
+        """Join these edges and others."""
         names = (f.name for f in fields(self))
         return Edges(*(np.concatenate([getattr(self, name), getattr(more, name)]) for name in names))
 
@@ -58,7 +58,7 @@ class FixedPoints:
     sd: Scalars  # (a,), m
 
     def only(self, rows: Indices) -> "FixedPoints":
-        """Some of them."""
+        """Select some fixed points."""
         return FixedPoints(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
@@ -100,8 +100,8 @@ class SubmapFactor:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Ties:
-    """What closures measure, as arrays."""
+class ClosureArrays:
+    """Closures as arrays."""
 
     first: Indices  # (c,): nodes
     second: Indices
@@ -114,8 +114,8 @@ class Ties:
     paid: Scalars
 
     @classmethod
-    def of(cls, closures: Sequence[Closure]) -> "Ties":
-        """Of some closures."""
+    def of(cls, closures: Sequence[Closure]) -> "ClosureArrays":
+        """Arrays of some closures."""
         Z = np.array([c.T_first_second.as_matrix() for c in closures]).reshape(-1, 4, 4)
         R, C = Z[:, :3, :3], np.array([c.covariance for c in closures]).reshape(-1, 6, 6)
         # A closure's covariance is stated in the second node's axes.
@@ -130,5 +130,5 @@ class Ties:
 
     @property
     def is_kept(self) -> Mask:
-        """As of `Closure`: (c,)."""
+        """Whether the graph keeps each: (c,)."""
         return np.asarray(self.weight > LEAST_KEPT)

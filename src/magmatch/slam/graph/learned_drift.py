@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How far odometry really drifts: by the likelihood of its closures, with the stated drift as prior."""
+"""The drift of odometry is learned from the likelihood of closures, with the stated drift as prior."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,7 +22,7 @@ SAME_FACTOR = 0.05
 
 
 def teaches_drift(graph: PoseGraph) -> bool:
-    """Whether closures are enough: as few as teach nothing about the noise teach nothing about drift."""
+    """Whether closures are enough: as many as noise is learned from."""
     return len(graph.closures) >= PRIOR_STRETCHES
 
 

@@ -59,15 +59,15 @@ def odometry_steps(graph: PoseGraph) -> list[Part]:
 
 
 def _closures(graph: PoseGraph) -> list[Part]:
-    ties = graph.ties
-    if not len(ties.first):
+    closures = graph.as_arrays
+    if not len(closures.first):
         return []
-    r, Ji, Jj = residual_between(graph, ties.first, ties.second, ties.R, ties.t)
-    # What ties two components no more pulls at neither.
+    r, Ji, Jj = residual_between(graph, closures.first, closures.second, closures.R, closures.t)
+    # A closure that connects two components no more pulls at neither.
     component = graph.component()
-    weight = counted(graph) * (component[ties.first] == component[ties.second])
-    P = ties.information * weight[:, None, None]
-    return [(np.column_stack([ties.first, ties.second]), np.concatenate([Ji, Jj], axis=2), P, r)]
+    weight = counted(graph) * (component[closures.first] == component[closures.second])
+    P = closures.information * weight[:, None, None]
+    return [(np.column_stack([closures.first, closures.second]), np.concatenate([Ji, Jj], axis=2), P, r)]
 
 
 def _submaps(graph: PoseGraph) -> list[Part]:
@@ -109,23 +109,23 @@ def _scale_held(graph: PoseGraph) -> list[Part]:
 
 
 def counted(graph: PoseGraph) -> Scalars:
-    """How much of each closure's information counts: its weight, less what closures of its windows have in common.
+    """Share of each closure's information that counts: its weight, less what closures of its windows have in common.
 
     Nothing of it, as far as submaps stand for it.
     """
-    return np.asarray(graph.ties.weight / shared(graph) * (1 - graph.on_submaps()))
+    return np.asarray(graph.as_arrays.weight / shared(graph) * (1 - graph.on_submaps()))
 
 
 def shared(graph: PoseGraph) -> Scalars:
-    """By how much the covariance of each closure is larger, as closures of its windows have a part in common.
+    """Factor on each closure's covariance, as closures of its windows have a part in common.
 
-    Where n windows are all tied to one another, covariances that are larger by (n - 2) times their common share give
-    all relative poses the covariance that is exact.
+    Where n windows all have closures with one another, covariances that are larger by (n - 2) times their common
+    share give all relative poses the covariance that is exact.
     """
-    ties, n = graph.ties, len(graph.p)
-    at_node = np.bincount(ties.first, ties.weight, n) + np.bincount(ties.second, ties.weight, n)
-    others = np.maximum((at_node[ties.first] + at_node[ties.second]) / 2 - 1, 0.0)
-    return np.asarray(1 + ties.common * others)
+    closures, n = graph.as_arrays, len(graph.p)
+    at_node = np.bincount(closures.first, closures.weight, n) + np.bincount(closures.second, closures.weight, n)
+    others = np.maximum((at_node[closures.first] + at_node[closures.second]) / 2 - 1, 0.0)
+    return np.asarray(1 + closures.common * others)
 
 
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:

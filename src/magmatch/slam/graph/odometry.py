@@ -22,7 +22,7 @@ MOST_TILT = np.radians(10.0)
 
 
 def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
-    """Nodes at their odometry poses, each log in its own frame, connected by odometry alone."""
+    """Make the graph of logs that odometry alone connects: each log in its own frame."""
     graph = PoseGraph(config)
     for path in paths:
         follow(path, graph)
@@ -54,7 +54,7 @@ def follow(path: Path, graph: PoseGraph) -> None:
 
 
 def covariance_of_end(path: Path, C: Covariance6, config: SlamConfig, *, from_start: bool) -> Covariance6:
-    """Of a log's last sample, given that of its last node, C (6, 6) of xi in ``T Exp(xi)``.
+    """Covariance of a log's last sample, given that of its last node, C (6, 6) of xi in ``T Exp(xi)``.
 
     Both are against where the log began: its first sample (``from_start``), or its first node.
     """
@@ -82,7 +82,7 @@ def covariance_beside(path: Path, node: int, T_node_other: RigidTransform, confi
 
 
 def _between(path: Path, a: int, b: int, config: SlamConfig) -> tuple[Vector3, Matrix, Matrix]:
-    """From one sample to another: the shift, what each unit error does to the end, and what the lasting ones do."""
+    """Shift from one sample to another, and the effects of unit errors and of lasting errors on its end."""
     points = path.survey.positions[np.unique(np.linspace(a, b, BEND_POINTS).astype(np.int64))]
     upright, planar = config.is_gravity_aligned, config.is_planar
     loads = bend(points, 0, config.odometry_of(path.survey.name), upright=upright, planar=planar)[-1]

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.geometry import skew, transform_of
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.block_cholesky import BlockCholesky, SelectedInverse
-from magmatch.slam.graph.factors import N_LASTING, Closure, Edges, FixedPoints, SubmapFactor, Ties
+from magmatch.slam.graph.factors import N_LASTING, Closure, ClosureArrays, Edges, FixedPoints, SubmapFactor
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
@@ -50,8 +50,8 @@ class PoseGraph:
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
     submap_factors: tuple[SubmapFactor, ...] = ()  # instead of the closures with the passes of their submaps
     _closures: tuple[Closure, ...] = ()
-    _ties: Ties | None = None
-    _tied: Indices | None = None
+    _arrays: ClosureArrays | None = None
+    _connected: Indices | None = None
     _factor: BlockCholesky | None = None
     _inverse: SelectedInverse | None = None
 
@@ -61,7 +61,7 @@ class PoseGraph:
             self.lasting = np.zeros((int(self.log.max(initial=-1)) + 1, N_LASTING))
 
     def copied(self) -> "PoseGraph":
-        """A copy to try something on: what is then moved or tied is not moved or tied here."""
+        """Copy the graph, to try something on: what is moved or closed there stays as it is here."""
         other = copy(self)
         other.R, other.p, other.level = self.R.copy(), self.p.copy(), self.level.copy()
         return other
@@ -73,24 +73,24 @@ class PoseGraph:
 
     @closures.setter
     def closures(self, closures: Sequence[Closure]) -> None:
-        self._closures, self._ties, self._tied = tuple(closures), None, None
+        self._closures, self._arrays, self._connected = tuple(closures), None, None
 
     @property
-    def ties(self) -> Ties:
+    def as_arrays(self) -> ClosureArrays:
         """The closures as arrays."""
-        if self._ties is None:
-            self._ties = Ties.of(self._closures)
-        return self._ties
+        if self._arrays is None:
+            self._arrays = ClosureArrays.of(self._closures)
+        return self._arrays
 
     def weigh_closures(self, weight: Scalars) -> None:
         """Give each closure another weight."""
-        ties, pairs = self.ties, zip(self._closures, weight.tolist(), strict=True)
+        arrays, pairs = self.as_arrays, zip(self._closures, weight.tolist(), strict=True)
         self.closures = [c if c.weight == w else replace(c, weight=w) for c, w in pairs]
-        self._ties = replace(ties, weight=weight)
+        self._arrays = replace(arrays, weight=weight)
 
     def grow(self, centers: Points, logs: Indices, edges: Edges) -> None:
         """Add nodes at the end: where odometry leads from those before, or in a frame of their own."""
-        self.edges, self._tied = self.edges.with_more(edges), None
+        self.edges, self._connected = self.edges.with_more(edges), None
         self.log = np.concatenate([self.log, logs])
         self.start = np.concatenate([self.start, centers])
         self.p = np.concatenate([self.p, centers])
@@ -103,13 +103,13 @@ class PoseGraph:
 
     def frames(self) -> Indices:
         """For each log, the first log that shares its frame: by closures, or by fixed points that tell the frame."""
-        root = self.tied()
+        root = self.connected()
         told = [r for r, rows in self.fixed_by(root).items() if self.tell_the_frame(rows)]
         root[np.isin(root, told)] = min(told, default=0)
         return root
 
     def component(self) -> Indices:
-        """Of each node, what `frames` has of its log."""
+        """For each node, the first log that shares its frame, as `frames` has it."""
         found: Indices = self.frames()[self.log]
         return found
 
@@ -117,33 +117,33 @@ class PoseGraph:
         """Whether nodes adjoin others along one log."""
         return np.asarray((self.log[nodes] == self.log[others]) & (np.abs(nodes - others) < APART))
 
-    def is_tied(self, nodes: Indices, second: int) -> Mask:
-        """Whether a closure ties a node to each of some others, or to one beside it on the same pass."""
-        firsts = self.ties.first[self.ties.second == second]
+    def has_closure(self, nodes: Indices, second: int) -> Mask:
+        """Whether a node has a closure with each of some others, or with one beside it on the same pass."""
+        firsts = self.as_arrays.first[self.as_arrays.second == second]
         return np.asarray(self.is_one_pass(nodes[:, None], firsts).any(axis=1))
 
-    def tied(self) -> Indices:
+    def connected(self) -> Indices:
         """For each log, the first log that closures connect it to."""
-        if self._tied is not None:
-            return self._tied.copy()
-        n, kept = len(self.lasting), np.flatnonzero(self.ties.is_kept)
-        one, other = self.log[self.ties.first[kept]], self.log[self.ties.second[kept]]
+        if self._connected is not None:
+            return self._connected.copy()
+        n, kept = len(self.lasting), np.flatnonzero(self.as_arrays.is_kept)
+        one, other = self.log[self.as_arrays.first[kept]], self.log[self.as_arrays.second[kept]]
         group = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(n, n)), directed=False)[1]
-        self._tied = np.asarray(np.unique(group, return_index=True)[1][group])
-        return self._tied.copy()
+        self._connected = np.asarray(np.unique(group, return_index=True)[1][group])
+        return self._connected.copy()
 
     def on_submaps(self) -> Scalars:
-        """Part of each closure that submap factors stand for: those of either node with the other's pass, (c,)."""
-        ties, n, pairs, parts = self.ties, len(self.p), [np.zeros(0, np.int64)], [np.zeros(0)]
+        """Part of each closure that submap factors of either node with the other's pass stand for: (c,)."""
+        arrays, n, pairs, parts = self.as_arrays, len(self.p), [np.zeros(0, np.int64)], [np.zeros(0)]
         for f in self.submap_factors:
             others = np.unique(np.add.outer(f.passes, np.arange(1 - APART, APART)))
             pairs.append(n * np.maximum(f.node, others) + np.minimum(f.node, others))
             parts.append(np.full(len(others), f.part))
         known = np.concatenate(pairs)
-        order, asked = np.argsort(known), n * ties.second + ties.first
+        order, asked = np.argsort(known), n * arrays.second + arrays.first
         before = np.append(0.0, np.cumsum(np.concatenate(parts)[order]))
         first, end = (before[np.searchsorted(known[order], asked, side)] for side in ("left", "right"))
-        return np.asarray((end - first) * (self.log[ties.first] == self.log[ties.second]))
+        return np.asarray((end - first) * (self.log[arrays.first] == self.log[arrays.second]))
 
     def fixed_by(self, root: Indices) -> dict[int, Indices]:
         """Fixed points of each group of logs that has any."""
@@ -168,7 +168,7 @@ class PoseGraph:
         return rows is not None and self.tell_the_frame(rows)
 
     def seen_at_fixed(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the graph has the fixed points (a, 3), and the slopes with both nodes of each (a, 3, 12)."""
+        """Places of the fixed points in the graph (a, 3), and the slopes with both nodes of each (a, 3, 12)."""
         f = self.fixed
         assert f is not None
         seen, slopes = np.zeros((len(f.sd), 3)), []
@@ -207,15 +207,15 @@ class PoseGraph:
         return squared
 
     def pose(self, k: int) -> RigidTransform:
-        """Of a node in its component's frame."""
+        """Pose of a node in its component's frame."""
         return transform_of(self.R[k], self.p[k])
 
     def center(self, k: int) -> RigidTransform:
-        """Of a node in its log's own frame, as odometry has it."""
+        """Pose of a node in its log's own frame, as odometry has it."""
         return RigidTransform.from_translation(self.start[k])
 
     def odometry(self, k: int) -> tuple[RigidTransform, Covariance6]:
-        """From a node to the next of its log, and its covariance."""
+        """Odometry's step from a node to the next of its log, and its covariance."""
         e = int(np.searchsorted(self.edges.first, k))
         o, L = self.config.odometry, self.edges.lasting[e]
         lasting = L @ np.diag([o.scale_sd**2, o.turn_rate_sd**2]) @ L.T
@@ -227,14 +227,14 @@ class PoseGraph:
         return self._factor
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
-        """Of ``T_first_second Exp(xi)`` about the second node, for each first node: (f, 6, 6), odometry's unit."""
+        """Covariance of xi in ``T_first_second Exp(xi)`` for each first node: (f, 6, 6), odometry's unit."""
         assert self._factor is not None
         seconds = np.full(len(firsts), second)
         return self._relative(firsts, seconds, self._factor.inverse_in_column(firsts, second))
 
-    def relative_covariances_of_ties(self) -> np.ndarray:
-        """The same of each closure's two nodes: (c, 6, 6)."""
-        firsts, seconds = self.ties.first, self.ties.second
+    def relative_covariances_of_closures(self) -> np.ndarray:
+        """Relative covariance of each closure's two nodes: (c, 6, 6)."""
+        firsts, seconds = self.as_arrays.first, self.as_arrays.second
         return self._relative(firsts, seconds, self._selected().between(firsts, seconds))
 
     def _relative(self, firsts: Indices, seconds: Indices, between: np.ndarray) -> np.ndarray:
@@ -255,7 +255,7 @@ class PoseGraph:
         return np.asarray(np.sqrt(np.linalg.eigvalsh(C)[:, -1]))
 
     def most_sds_of_place(self, firsts: Indices, second: int) -> Scalars:
-        """What `sds_of_place` cannot exceed: both nodes' own, and the first's turn over how far they are apart."""
+        """Upper bound of `sds_of_place`: both nodes' own, and the first's turn over how far they are apart."""
         own, apart = (
             self.marginals()[np.append(firsts, second)],
             np.linalg.norm(self.p[firsts] - self.p[second], axis=1),
@@ -264,7 +264,7 @@ class PoseGraph:
         return np.asarray(places[-1] + places[:-1] + apart * turns[:-1])
 
     def covariances(self, nodes: Indices) -> np.ndarray:
-        """Of nodes (k,), in metres, with how well their scale is known: (k, 6, 6).
+        """Covariance of nodes (k,), in metres, with how well their scale is known: (k, 6, 6).
 
         Of ``T Exp(xi)``, T against the first node of their component, or in the frame of the fixed points.
         """

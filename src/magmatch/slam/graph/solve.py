@@ -7,10 +7,10 @@ Poses and weights are found in turn, as a mixture of right and wrong closures is
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.slam.graph.doubt import probabilities
 from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
+from magmatch.slam.graph.switchable_constraints import probabilities
 
 # Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
 MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
@@ -24,7 +24,7 @@ SUSPECTS = 16
 
 
 def solve(graph: PoseGraph) -> None:
-    """Most likely poses; closures that the rest contradicts lose their weight."""
+    """Find the most likely poses; closures that the rest contradicts lose their weight."""
     _bring_to_fixed(graph)
     at_first = True
     for _ in range(MOST_STEPS):
@@ -39,16 +39,16 @@ def solve(graph: PoseGraph) -> None:
         moved, changed = np.abs(xi).max(), 0.0
         # Of poses that still move, a contradiction may disappear.
         if moved < NEAR and graph.closures:
-            before = graph.ties.weight
+            before = graph.as_arrays.weight
             graph.weigh_closures(probabilities(graph, at_first=at_first))
-            at_first, changed = False, np.abs(graph.ties.weight - before).max()
+            at_first, changed = False, np.abs(graph.as_arrays.weight - before).max()
         if moved < SMALL and changed < SETTLED:
             break
     _bring_home(graph)
 
 
 def forget_closures(graph: PoseGraph) -> None:
-    """Back to odometry alone."""
+    """Return to odometry alone."""
     graph.closures = graph.submap_factors = ()
     graph.level = graph.start[:, 2].copy()
     graph.p, graph.R = graph.start.copy(), np.tile(np.eye(3), (len(graph.p), 1, 1))
@@ -57,7 +57,7 @@ def forget_closures(graph: PoseGraph) -> None:
 
 
 def most_contradicted(graph: PoseGraph) -> tuple[int, float]:
-    """The fixed point without which all else agrees best, and how far it lies from where that has the log, m.
+    """Find the fixed point without which all else agrees best, and how far it lies from where that has the log, m.
 
     A wrong one bends the log so far that those beside it look as wrong: those that look worst are left out in turn.
     """
@@ -78,7 +78,7 @@ def _bring_to_fixed(graph: PoseGraph) -> None:
     """Move each connected group as a whole to its fixed points: least squares must start near the solution."""
     if graph.fixed is None:
         return
-    f, root = graph.fixed, graph.tied()
+    f, root = graph.fixed, graph.connected()
     seen = graph.seen_at_fixed()[0]
     for r, rows in graph.fixed_by(root).items():
         w = f.sd[rows] ** -2

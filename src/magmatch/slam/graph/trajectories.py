@@ -26,7 +26,7 @@ def corrected(path: Path, graph: PoseGraph) -> Survey:
 
 
 def corrected_poses(path: Path, graph: PoseGraph, poses: Trajectory | None) -> Trajectory | None:
-    """A log's poses there: at their own times where given, else those of its samples; None where it has none."""
+    """A log's poses in that frame: at their own times where given, else its samples'; None where it has none."""
     survey = path.survey
     if survey.times is None:
         return None
@@ -48,7 +48,7 @@ def moved(path: Path, graph: PoseGraph, walked: Scalars, x: Points) -> Points:
 
 
 def _turned(path: Path, graph: PoseGraph, walked: Scalars) -> Rotation:
-    """How odometry's axes turn after so much of the path."""
+    """Rotation of odometry's axes after so much of the path."""
     R = graph.R[path.nodes]
     one, other, share = around(path, walked)
     between = Rotation.from_matrix(R[one]).inv() * Rotation.from_matrix(R[other])

@@ -13,8 +13,7 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.registration.clock import Clock
 from magmatch.slam.graph.trajectories import corrected_poses
-from magmatch.slam.output.covariances import write_covariances
-from magmatch.slam.output.g2o import write_graph
+from magmatch.slam.output.graph_files import write_covariances, write_graph
 from magmatch.slam.output.kept_session import SESSION, write_session
 from magmatch.slam.result import SlamResult
 from magmatch.slam.session import Session

@@ -16,7 +16,7 @@ from magmatch.slam.graph.factors import Closure, SubmapFactor
 from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
-from magmatch.slam.search.bases import BaseMaker
+from magmatch.slam.search.submaps import SubmapMaker
 from magmatch.slam.sensor_bias import in_one_calibration, without_bias
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
@@ -36,7 +36,7 @@ def write_session(session: Session, path: Path) -> None:
         "stated": places.stated.model_dump(mode="json"),
         "config": maker.config.model_dump(mode="json"),
         "inputs": [describe_input(s)["sha256"] for s in session.given],
-        "seconds": session.seconds, "numbers": maker.numbers, "noise": maker.noise,
+        "seconds": session.seconds, "hyperparameters": maker.hyperparameters, "noise": maker.noise,
         "squared_gradient": maker.squared_gradient, "length": maker.length,
         "biases": places.biases, "anchors": places.anchors,
         "closures": list(graph.closures), "submap_factors": tuple(graph.submap_factors),
@@ -81,8 +81,8 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph = odometry_graph(paths, config)
     graph.R, graph.p, graph.level, graph.lasting = (content[k] for k in ("R", "p", "level", "lasting"))
     graph.closures, graph.submap_factors = content["closures"], content["submap_factors"]
-    numbers, noise, anchors = content["numbers"], content["noise"], content["anchors"]
-    maker = BaseMaker(numbers, content["squared_gradient"], noise, content["length"], config)
+    numbers, noise, anchors = content["hyperparameters"], content["noise"], content["anchors"]
+    maker = SubmapMaker(numbers, content["squared_gradient"], noise, content["length"], config)
     if anchors:
         graph.fixed = fixed_points(anchors, paths)
     # Poses stay as they were; covariances follow from this.

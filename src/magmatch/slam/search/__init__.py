@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Search for loop closures: where a window may lie on one stretch of earlier path."""
+"""Search for loop closures: where a window may lie in a submap."""

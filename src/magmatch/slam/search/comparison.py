@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Comparisons of windows with stretches of earlier path: what is asked, what is known already, and what is found."""
+"""Comparisons of windows with submaps; what an earlier search found there is not searched for again."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -9,9 +9,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
 from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.runner import Shared
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.search.bases import Base, BaseTask, base_of
-from magmatch.slam.search.candidates import Candidate
 from magmatch.slam.search.loop_closure import (
     NODE_COVARIANCE,
     REACH,
@@ -23,59 +22,58 @@ from magmatch.slam.search.loop_closure import (
     matches,
 )
 from magmatch.slam.search.predicted import expected_beside
+from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Scalars
+from magmatch.workers import Task
 
-# What a comparison finds: nodes of the base, and poses beside them.
+# What a comparison finds: nodes of the submap, and poses beside them.
 Found = list[tuple[int, Match]]
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
 SAME_PRIOR = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Comparison:
-    """A window, and a base in which it may lie: what is found depends on these alone, wherever it is looked for."""
+class Candidate:
+    """A node near which a window may lie, and the relative pose."""
 
-    window: Window
-    base: Base | BaseTask
-    expected: Expected
-    noise: PathNoise  # of walks
-    # Poses of an earlier search, which need no other; and nodes in whose windows it may lie, if not in all
-    known: Sequence[RigidTransform] | None = None
-    nodes: Indices | None = None
+    node: int
+    T_node_window: RigidTransform
+    match: Match
 
-    @property
-    def name(self) -> str:
-        """In words."""
-        return f"the comparison of window {self.window.node} with {self.base.node[0]} to {self.base.node[-1]}"
-
-    @property
-    def home(self) -> int:
-        """Which of all workers: each stretch is made by one, whole logs by all."""
-        return self.window.node if self.nodes is None or isinstance(self.base, Base) else self.base.home
+    @classmethod
+    def beside(cls, node: int, match: Match, window: Window, T_submap_node: RigidTransform) -> "Candidate":
+        """Make one of a match in a submap, beside a node whose pose there is given."""
+        return cls(node, product(T_submap_node.inv(), match.T_base_log, window.T_log_node), match)
 
 
 @single_threaded
-def compare(one: Comparison) -> Found:
-    """Poses of a window in a base, most likely first, each with the node of the base in whose window it lies."""
-    window, base, known, nodes = one.window, base_of(one.base, one.noise), one.known, one.nodes
-    if isinstance(one.expected, Rough):
+def compare(
+    window: Window, submap: Submap, expected: Expected, noise: PathNoise,
+    known: Sequence[RigidTransform] | None = None, nodes: Indices | None = None,
+) -> Found:  # fmt: skip
+    """Poses of a window in a submap, most likely first, each with the node of the submap in whose window it lies.
+
+    ``noise``: of walks, as it is known now; ``known``: poses of an earlier search, which need no other; ``nodes``: in
+    whose windows it may lie, if not in all.
+    """
+    if isinstance(expected, Rough):
         # What is known well is not searched for.
-        known = [] if known is None and one.expected.is_narrow(window.length) else known
-        here = one.expected.T_base_log.apply(window.center)[None]
-        if known is not None and not known and nodes is not None and not base.are_near(here, nodes)[0]:
+        known = [] if known is None and expected.is_narrow(window.length) else known
+        here = expected.T_base_log.apply(window.center)[None]
+        if known is not None and not known and nodes is not None and not submap.are_near(here, nodes)[0]:
             return []
-    found = matches(window, base, one.expected, known, nodes)
+    found = matches(window, submap.with_noise(noise), expected, known, nodes)
     if not found:
         return []
-    beside = base.nodes_near(np.array([match.T_base_log.apply(window.center) for match in found]))
+    beside = submap.nodes_near(np.array([match.T_base_log.apply(window.center) for match in found]))
     return list(zip(beside.tolist(), found, strict=True))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Searched:
-    """A stretch that was searched for a window."""
+    """A submap that was searched for a window."""
 
     nodes: Indices  # near which
     expected: Rough  # where
@@ -104,14 +102,14 @@ class Searched:
 
 
 def _moved(before: Rough, now: Rough, window: Window) -> Scalars:
-    """By how much the expected pose of a window's node has moved: rotation vector and shift."""
+    """Move of the expected pose of a window's node: rotation vector and shift."""
     T_log_node = window.T_log_node
     return turn_and_shift(product(T_log_node.inv(), before.T_base_log.inv(), now.T_base_log, T_log_node))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Search:
-    """A window near some nodes of each of some stretches, where the graph expects it; both by the stretch's node.
+    """A window near some nodes of each of some submaps, where the graph expects it; both by the submap's node.
 
     What was ``searched`` before, or is known well, is not searched again, and where what was found is still
     ``standing`` it is not weighed either.
@@ -125,7 +123,7 @@ class Search:
 
     @classmethod
     def of(cls, window: Window, nodes: dict[int, Indices], known: dict[int, Searched], graph: PoseGraph) -> "Search":
-        """What is to be done now, where stretches were searched before."""
+        """Say what is to be done now, where submaps were searched before."""
         expected = expected_beside(window, np.array(list(nodes), np.int64), graph)
         searched = {a: known[a] for a in expected if a in known and known[a].holds(expected[a], nodes[a], window)}
         standing = {a for a, one in searched.items() if one.stands(expected[a], window)}
@@ -133,29 +131,30 @@ class Search:
 
     @property
     def open(self) -> list[int]:
-        """Stretches that the window is compared with."""
+        """Submaps that the window is compared with."""
         return [a for a in self.expected if a not in self.standing]
 
-    def comparison(self, a: int, base: Base | BaseTask, noise: PathNoise) -> Comparison:
-        """With one of those, of which the base is given."""
+    def comparison(self, a: int, submap: Shared[Submap], noise: PathNoise) -> Task:
+        """Make the task that compares the window with a submap, which is given by its node and itself."""
         known = [c.match.T_base_log for c in self.searched[a].found] if a in self.searched else None
-        return Comparison(self.window, base, self.expected[a], noise, known, self.nodes[a])
+        arguments = (self.window, submap, self.expected[a], noise, known, self.nodes[a])
+        return Task(f"the comparison of window {self.window.node} with windows {a} and after", arguments)
 
     def candidates(self, compared: dict[int, Found], graph: PoseGraph) -> list[Candidate]:
-        """Of all stretches, where what was found on those that are open is given."""
+        """Candidates on all submaps, where what was found on those that are open is given."""
         found: list[Candidate] = []
         for a in self.expected:
             some = self.searched[a].found if a in self.standing else [
-                candidate(self.window, node, match, graph.center(node)) for node, match in compared[a]
+                Candidate.beside(node, match, self.window, graph.center(node)) for node, match in compared[a]
             ]  # fmt: skip
-            # Neighbouring stretches see the same poses: each is weighed by the one in whose middle it lies.
+            # Neighbouring submaps see the same poses: each is weighed by the one in whose middle it lies.
             for c in some:
                 if not any(_is_same(c, k, graph, self.window.length) for k in found):
                     found.append(c)
         return found
 
     def done(self, found: list[Candidate]) -> dict[int, Searched]:
-        """The stretches, as they are searched now, but for those that stand."""
+        """The submaps, as they are searched now, but for those that stand."""
         after = {}
         for a in self.open:
             here = [c for c in found if c.node in self.nodes[a]]
@@ -165,13 +164,8 @@ class Search:
         return after
 
 
-def candidate(window: Window, node: int, match: Match, T_base_node: RigidTransform) -> Candidate:
-    """A match beside a node, of which the pose in the base's frame is given."""
-    return Candidate(node, product(T_base_node.inv(), match.T_base_log, window.T_log_node), match)
-
-
 def _is_same(c: Candidate, k: Candidate, graph: PoseGraph, length: float) -> bool:
-    """Whether two candidates are one pose beside one pass, which neighbouring stretches led to."""
+    """Whether two candidates are one pose beside one pass, which neighbouring submaps led to."""
     if not graph.is_one_pass(c.node, k.node):
         return False
     T_c, T_k = (product(graph.center(one.node), one.T_node_window) for one in (c, k))

@@ -20,7 +20,7 @@ from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh
 from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
-from magmatch.slam.search.bases import Base
+from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6, Indices, Scalars
 
@@ -42,7 +42,7 @@ class Rough:
 
     @property
     def largest_sds(self) -> Scalars:
-        """Of rotation (rad) and of position (m), in the direction least known; (2,)."""
+        """Standard deviations of rotation (rad) and position (m), in the direction least known; (2,)."""
         C = self.covariance + NODE_COVARIANCE
         return np.sqrt([np.linalg.eigvalsh(C[k : k + 3, k : k + 3])[-1] for k in (0, 3)])
 
@@ -58,7 +58,7 @@ Expected = Rough | float
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Match:
-    """A pose of a window in a base."""
+    """A pose of a window in a submap."""
 
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
@@ -73,12 +73,12 @@ class Match:
 
 def matches(
     window: Window,
-    base: Base,
+    base: Submap,
     expected: Expected,
     known: Sequence[RigidTransform] | None = None,
     nodes: Indices | None = None,
 ) -> list[Match]:
-    """Poses of a window in a base, most likely first.
+    """Poses of a window in a submap, most likely first.
 
     They are refined from poses that are known, where the base was searched before, else from those of a search; and
     from the predicted pose. With some nodes, only from those that lie in their windows.
@@ -163,7 +163,7 @@ def _prior_at(
 
 @lru_cache(maxsize=1)
 def _unrelated(window: Window, noise: PathNoise, *, is_predicted: bool) -> UnrelatedWalk:
-    """The null model of a window: kept while one stretch after the other is compared with it."""
+    """The null model of a window: kept while one submap after the other is compared with it."""
     x, around = window.walk.positions, window.around if is_predicted else None
     return UnrelatedWalk(window.walk, cdist(x, x), noise, window.length, around)
 
@@ -175,8 +175,8 @@ def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
     return bool(prior.admits(rotation_matrix(T)[None], T.apply(center)[None], center, inaccuracy)[0])
 
 
-def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch:
-    """What a window shows where a base knows the field: the material that its noise is learned from."""
+def residuals(window: Window, base: Submap, T_base_log: RigidTransform) -> Stretch:
+    """Residuals of a window where a submap knows the field: noise is learned from them."""
     prepared, walk = base.index.base, window.walk
     T = prepared.T_map_model.inv() * T_base_log * walk.T_survey_walk
     points = T.apply(walk.positions)
@@ -187,8 +187,8 @@ def residuals(window: Window, base: Base, T_base_log: RigidTransform) -> Stretch
     return Stretch(walk.positions[rows], (walk.field - values.field)[rows], sd[rows], G, walk.field[rows])
 
 
-def _prior(window: Window, base: Base, expected: Expected) -> PosePrior:
-    """What is known beforehand, between model frames."""
+def _prior(window: Window, base: Submap, expected: Expected) -> PosePrior:
+    """Prior of the pose between model frames."""
     T_base, T_walk, config = base.index.base.T_map_model, window.walk.T_survey_walk, window.config
     known = PosePriorConfig(
         is_gravity_aligned=config.is_gravity_aligned,

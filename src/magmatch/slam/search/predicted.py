@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the graph predicts windows on earlier path."""
+"""Predictions of the graph: beside which earlier nodes windows lie, and how well that is known."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ SURE = DecisionConfig().min_probability
 
 
 def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
-    """Of some nodes those before a window that do not adjoin it."""
+    """Select those of some nodes that lie before a window and do not adjoin it."""
     return np.asarray(nodes[(nodes < window.node) & ~graph.is_one_pass(nodes, window.node)])
 
 
@@ -25,7 +25,7 @@ def is_known(window: Window, nodes: Indices, graph: PoseGraph) -> bool:
 
 
 def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
-    """Which of some nodes, on earlier passes, the graph puts a window near."""
+    """Select those of some nodes, on earlier passes, that the graph puts a window near."""
     firsts = earlier_passes(window, nodes, graph)
     if not len(firsts) or not window.keeps_shape:
         return firsts[:0]
@@ -39,7 +39,7 @@ def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
 
 
 def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:
-    """Where the graph expects a window, as each of some nodes has it."""
+    """Pose of a window that the graph expects relative to each of some nodes."""
     b, found = window.node, {}
     for a, C in zip(nodes.tolist(), graph.relative_covariances(nodes, b), strict=True):
         R = graph.R[a].T @ graph.R[b]

@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from drifting import made
 from magmatch.registration.search.retrieval import shortlist
-from magmatch.slam import places as places_module
-from magmatch.slam.decide.tie import tie
+from magmatch.runner import Runner
+from magmatch.slam import loop_search
+from magmatch.slam.decide.probable_closures import probable_closures
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
-from magmatch.slam.places import MOST_PASSES
-from magmatch.slam.search.bases import TOGETHER
+from magmatch.slam.loop_closer import LoopCloser
+from magmatch.slam.loop_search import MOST_PASSES, LoopSearch
+from magmatch.slam.search.submaps import TOGETHER
 
 # Log densities of a prior that knows a place to some hundred metres.
 NOWHERE = -14.0
@@ -30,14 +33,13 @@ def closed(lone):
 
 def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(closed):
     places, closures = closed
-    windows, hits = places.paths[0].windows, 0
+    windows, hits, search = places.paths[0].windows, 0, LoopSearch(places, Runner())
     for c in closures:
         nodes = places.known_to(windows[c.second])
-        places.voted.clear()
-        places.vote({windows[c.second]: nodes.tolist()})
-        votes = places.voted[c.second]
-        assert list(votes) == nodes.tolist()
-        voted = nodes[shortlist(np.array(list(votes.values())))]
+        firsts = np.array(list(search.by_submap(nodes, windows[c.second])))
+        votes = search.votes(windows[c.second], firsts.tolist())
+        assert list(votes) == firsts.tolist()
+        voted = firsts[shortlist(np.array(list(votes.values())))]
         assert set(voted) <= set(nodes)
         hits += np.abs(voted - c.first).min() <= 1
     assert hits >= 0.8 * len(closures)
@@ -46,23 +48,24 @@ def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(clo
 def test_each_node_has_one_stretch_that_ends_before_the_window(lone):
     places = lone.session._now
     window = places.paths[0].windows[7]
-    nodes = np.arange(7)
-    found = places.stretches(nodes, window)
+    nodes, search = np.arange(7), LoopSearch(places, Runner())
+    found = search.by_submap(nodes, window)
     assert sorted(np.concatenate(list(found.values())).tolist()) == list(range(6))
     for a, some in found.items():
         assert set(some) <= set(range(a, a + TOGETHER))
-        inside = places.stretch(a).node
+        inside = made(search.submap(a)).node
         assert {max(a - 1, 0), a + TOGETHER} <= set(inside.tolist()) < set(range(window.node))
-        assert all(places.stretch(int(node)) is places.stretch(a) for node in some)
+        assert all(search.submap(int(node)) is search.submap(a) for node in some)
 
 
 def test_a_window_is_compared_with_few_passes(lone, monkeypatch):
     places = lone.session.places.copied()
     window, nodes = places.paths[0].windows[7], np.arange(6)
-    monkeypatch.setattr(places_module, "MOST_PASSES", 2)
-    monkeypatch.setattr(places_module, "nearby", lambda *_: nodes)
-    places.at([window], [nodes])
-    assert len(places.searched[window.node]) == 2 < len(places.stretches(nodes, window))
+    monkeypatch.setattr(loop_search, "MOST_PASSES", 2)
+    monkeypatch.setattr(loop_search, "nearby", lambda *_: nodes)
+    search = LoopSearch(places, Runner())
+    search.at([window], [nodes])
+    assert len(search.searched[window.node]) == 2 < len(search.by_submap(nodes, window))
 
 
 def test_what_has_enough_closures_is_not_compared_any_more(lone):
@@ -70,13 +73,14 @@ def test_what_has_enough_closures_is_not_compared_any_more(lone):
     closure = next(c for c in places.graph.closures if c.is_kept)
     window = places.window(closure.second)
     places.graph.closures = [closure] * MOST_PASSES
-    assert places.near([window]) == [[]]
-    assert not places.searched[window.node]
+    search = LoopSearch(places, Runner())
+    assert search.near([window]) == [[]]
+    assert not search.searched[window.node]
 
 
 def confirm(places, closures):
-    windows = places.paths[0].windows
-    return places.confirm(windows, places.paths[0].nodes, closures, {c.second: NOWHERE for c in closures})
+    path, closer = places.paths[0], LoopCloser(places, Runner())
+    return closer.confirm(path.windows, path.nodes, closures, {c.second: NOWHERE for c in closures})
 
 
 def test_a_tie_that_all_windows_speak_for_is_kept(closed):
@@ -115,7 +119,7 @@ def test_closures_that_agree_are_believed_against_odometry_even_if_each_was_doub
     places.solve()
     assert len(graph.closures) > 2
     assert all(c.is_kept for c in graph.closures)
-    places.learn_drift()
+    LoopCloser(places, Runner()).learn_drift()
     assert all(c.is_kept for c in places.graph.closures)
 
 
@@ -123,12 +127,12 @@ def test_a_window_whose_place_the_graph_knows_needs_less_evidence_than_one_that_
     places, closures = closed
     best = max(closures, key=lambda c: c.log_odds)
     window = places.paths[0].windows[best.second]
-    found = [c for c in places.near([window])[0] if c.node == best.first]
+    found = [c for c in LoopSearch(places, Runner()).near([window])[0] if c.node == best.first]
     weak = [replace(c, match=replace(c.match, log_odds=-2.0)) for c in found[:1]]
     path = places.paths[0].only(slice(best.second, best.second + 1))
-    assert not tie(path, [weak], places.graph, places.paths)
+    assert not probable_closures(path, [weak], places.graph, places.paths)
     precise = places.graph.config.odometry.model_copy(update={"sd": (0.1, 1.0)})
     config = places.graph.config.model_copy(update={"odometry": precise})
     places.graph.edges, places.graph.config = odometry_graph(places.paths, config).edges, config
     places.solve()
-    assert tie(path, [weak], places.graph, places.paths)
+    assert probable_closures(path, [weak], places.graph, places.paths)

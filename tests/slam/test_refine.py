@@ -9,13 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk, trajectory_error
-from magmatch.slam import steps
+from magmatch import runner
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.output.folder import write_folder
 from magmatch.slam.output.kept_session import read_session
-from magmatch.slam.refine.submap import KnownPath
+from magmatch.slam.refine import KnownPath
 from magmatch.slam.run import slam
+from other_process import elsewhere
 
 
 def assert_same(session, other):
@@ -104,7 +105,7 @@ def test_means_along_the_path_are_near_it_and_fewer(many_laps):
 
 
 def test_an_interrupted_last_look_ends_as_if_it_was_not(many_laps, tmp_path, monkeypatch):
-    monkeypatch.setattr(steps, "KEEP_EVERY_S", 0.0)
+    monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)
     slam(many_laps.log, keep=tmp_path / "all")
     kept = sorted((tmp_path / "all").iterdir(), key=lambda path: int(path.stem))
     part = tmp_path / "part"
@@ -112,7 +113,7 @@ def test_an_interrupted_last_look_ends_as_if_it_was_not(many_laps, tmp_path, mon
     # All but the last windows of the last look.
     for path in kept[:-2]:
         shutil.copy(path, part)
-    assert_same(slam(many_laps.log, keep=part, run=map), many_laps.session)
+    assert_same(slam(many_laps.log, keep=part, run=elsewhere), many_laps.session)
 
 
 def test_a_kept_session_has_its_maps_and_one_more_log_leaves_them_as_they_are(many_laps, tmp_path):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hyperparameters shared by all stretches, from short parts of the logs, since drift distorts long ones."""
+"""Hyperparameters shared by all submaps, from short parts of the logs, since drift distorts long ones."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -17,7 +17,7 @@ from magmatch.registration.prepared.cubes import even_choice
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
 from magmatch.registration.prepared.prepared_map import correlation_length_of
-from magmatch.slam.roughness import squared_gradient
+from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
 
 # Parts looked at, their length in lengthscales and most samples of each.
 N_PARTS = 8
@@ -30,8 +30,8 @@ MOST_CUTS = 4
 TUBE_LENGTH, N_POINTS, SILENT = 6.0, 20, 1e5
 
 
-def shared_numbers(surveys: Sequence[Survey], n_parts: int = N_PARTS) -> tuple[Hyperparameters, float, float]:
-    """Median numbers of short parts with an amplitude that holds for all, and their median correlation length (m).
+def shared_hyperparameters(surveys: Sequence[Survey], n_parts: int = N_PARTS) -> tuple[Hyperparameters, float, float]:
+    """Median hyperparameters of short parts, with an amplitude that holds for all, and median correlation length (m).
 
     The third is the mean squared gradient of all paths, noise included (`squared_gradient`).
     """
@@ -47,52 +47,52 @@ def shared_numbers(surveys: Sequence[Survey], n_parts: int = N_PARTS) -> tuple[H
             known = float(np.median([h.lengthscale for h in found])) if found else np.inf
             part = min(walked[-1] / N_PARTS, PART_LENGTH * known)
             for _ in range(MOST_CUTS):
-                numbers, length = _numbers_of(_part(survey, walked, middle, part))
-                if part <= PART_LENGTH * numbers.lengthscale:
+                h, length = _hyperparameters_of(_part(survey, walked, middle, part))
+                if part <= PART_LENGTH * h.lengthscale:
                     break
-                part = PART_LENGTH * numbers.lengthscale
-            found.append(numbers)
+                part = PART_LENGTH * h.lengthscale
+            found.append(h)
             lengths.append(length)
     names = [f.name for f in fields(Hyperparameters)]
     medians = {name: float(np.median([getattr(h, name) for h in found])) for name in names}
     # Nothing shorter than two steps between samples can be seen: of a robot that stands, jitter.
     steps = np.concatenate([np.linalg.norm(np.diff(s.positions, axis=0), axis=1) for s in surveys])
     length = max(float(np.median(lengths)), 2 * float(np.median(steps)))
-    numbers = replace(found[0], **medians)
-    return as_rough_as_measured(numbers, surveys, length), length, squared_gradient(surveys, length)
+    h = replace(found[0], **medians)
+    return as_rough_as_measured(h, surveys, length), length, squared_gradient(surveys, length)
 
 
-def as_rough_as_measured(numbers: Hyperparameters, surveys: Sequence[Survey], length: float) -> Hyperparameters:
-    """Numbers whose prior expects the squared gradient that is measured along the paths.
+def as_rough_as_measured(h: Hyperparameters, surveys: Sequence[Survey], length: float) -> Hyperparameters:
+    """Hyperparameters whose prior expects the squared gradient that is measured along the paths.
 
     The evidence of short parts takes neighbouring samples as correlated, and so finds an amplitude too small for what
     lies beside a path, where only the prior speaks: bases would be too sure of it by several times.
     """
-    measured = squared_gradient(surveys, length, numbers.noise_sd)
+    measured = squared_gradient(surveys, length, h.noise_sd)
     if measured <= 0:
-        return numbers
-    expected = float(np.median([_expected_square(survey, numbers, TUBE_LENGTH * length) for survey in surveys]))
-    return replace(numbers, prior_scale=numbers.prior_scale * float(np.sqrt(measured / expected)))
+        return h
+    expected = float(np.median([_expected_square(survey, h, TUBE_LENGTH * length) for survey in surveys]))
+    return replace(h, prior_scale=h.prior_scale * float(np.sqrt(measured / expected)))
 
 
-def _expected_square(survey: Survey, numbers: Hyperparameters, length: float) -> float:
+def _expected_square(survey: Survey, h: Hyperparameters, length: float) -> float:
     """Mean square of an entry of the gradient in the middle part of a path, as the prior has it."""
     walked = path_walked(survey.positions)
     samples = _part(survey, walked, 0.5, min(walked[-1], length))
     # Of samples that say nothing, the posterior is the prior.
-    silent = replace(numbers, noise_sd=SILENT * numbers.noise_sd)
+    silent = replace(h, noise_sd=SILENT * h.noise_sd)
     posterior = fit_posterior(samples, silent, FieldConfig(leave_out_outliers=False))
     C = posterior.covariance(samples.positions[even_choice(len(samples), N_POINTS)], order=1)[:, 3:, 3:]
-    return float(np.diagonal(C, axis1=1, axis2=2).mean()) / numbers.inflation**2
+    return float(np.diagonal(C, axis1=1, axis2=2).mean()) / h.inflation**2
 
 
-def guessed_noise(numbers: Hyperparameters, length: float) -> PathNoise:
+def guessed_noise(h: Hyperparameters, length: float) -> PathNoise:
     """Guess of the field that does not repeat from walk to walk, before any two were compared."""
     return PathNoise(
-        misfit_sd=0.25 * numbers.signal_sd,
+        misfit_sd=0.25 * h.signal_sd,
         misfit_length=length,
-        nugget_sd=0.25 * numbers.noise_sd,
-        constant_sd=0.1 * numbers.signal_sd,
+        nugget_sd=0.25 * h.noise_sd,
+        constant_sd=0.1 * h.signal_sd,
         map_factor=1.0,
         map_length=length,
         attitude_sd=ATTITUDE_SD,
@@ -109,7 +109,32 @@ def _part(survey: Survey, walked: np.ndarray, middle: float, length: float) -> S
     return part.transformed(part.principal_frame().inv())
 
 
-def _numbers_of(samples: Survey) -> tuple[Hyperparameters, float]:
-    numbers = likely_numbers(PRIORS["spline"], samples, FieldConfig())
-    posterior = fit_posterior(samples, numbers, FieldConfig())
-    return numbers, correlation_length_of(posterior.evaluate(samples.positions, order=1))
+def _hyperparameters_of(samples: Survey) -> tuple[Hyperparameters, float]:
+    h = likely_numbers(PRIORS["spline"], samples, FieldConfig())
+    posterior = fit_posterior(samples, h, FieldConfig())
+    return h, correlation_length_of(posterior.evaluate(samples.positions, order=1))
+
+
+def as_rough_as_here(h: Hyperparameters, everywhere: float, piece: Survey, length: float) -> Hyperparameters:
+    """Hyperparameters of a submap: beside a calm path it expects a calm field, beside a rough one a rough one.
+
+    ``everywhere``: the squared gradient of all paths. Noise is included in both, so that of a field too weak to be
+    measured nothing is made.
+    """
+    here = squared_gradient([piece], length)
+    if min(here, everywhere) <= 0:
+        return h
+    return replace(h, prior_scale=h.prior_scale * float(np.sqrt(here / everywhere)))
+
+
+def squared_gradient(surveys: Sequence[Survey], length: float, noise_sd: float = 0.0) -> float:
+    """Mean square of an entry of the gradient along some paths, (T/m)^2, less what so much noise adds to it."""
+    change2 = step2 = 0.0
+    for survey in surveys:
+        rows = bin_along_path(np.ascontiguousarray(survey.positions), BIN_LENGTH * length)
+        x, b, n = bin_means(survey.positions, rows), bin_means(survey.field, rows), np.bincount(rows)
+        # Bins next but one.
+        noise2 = noise_sd**2 * (1 / n[2:] + 1 / n[:-2])
+        change2 += float((((b[2:] - b[:-2]) ** 2).mean(axis=1) - noise2).sum())
+        step2 += float(((x[2:] - x[:-2]) ** 2).sum())
+    return change2 / step2 if step2 > 0 else 0.0

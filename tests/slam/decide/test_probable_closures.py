@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.slam.decide.answer import Weighted, by_pass, closure_beside, same_answer
-from magmatch.slam.search.candidates import Candidate
+from magmatch.slam.decide.probable_closures import Weighted, by_pass, closure_beside, same_answer
+from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 
 HERE = RigidTransform.identity()
@@ -57,7 +57,7 @@ def test_the_closure_has_mean_and_covariance_of_all_that_may_be(lone):
 
 
 @pytest.mark.parametrize(("log_odds", "passes"), [(1.0, 2), (-1.0, 1)])
-def test_another_pass_ties_too_unless_it_speaks_against_the_place(three, log_odds, passes):
+def test_another_pass_closes_too_unless_it_speaks_against_the_place(three, log_odds, passes):
     graph, (a, b, _) = three.session.graph, three.session.places.paths
     C = np.eye(6)
     some = [candidate(a.first_node, HERE, C), candidate(a.first_node + 1, HERE, C)]

@@ -6,21 +6,21 @@ from collections.abc import Callable
 import numpy as np
 
 import magmatch as mm
-from drifting import Place
+from drifting import Place, submap_at
 from magmatch.geometry import rotation_matrix
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
+from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.find_places import begin
-from magmatch.slam.shared_numbers import shared_numbers
+from magmatch.slam.shared_hyperparameters import shared_hyperparameters
 
 
 def log_ratios(walk: mm.Survey, field: Callable[[np.ndarray], np.ndarray], beside: float) -> list[float]:
     """Of a walk without drift: error over stated sd beside each window's path, natural log."""
     places, found = begin([walk], SlamConfig()), []
     for window in places.paths[0].windows[1:-1]:
-        base = places.stretch(window.node).index.base
+        base = submap_at(places, window.node).index.base
         along = np.gradient(window.survey.positions, axis=0)
         points = window.survey.positions + beside * np.cross(
             [0, 0, 1.0], along / np.linalg.norm(along, axis=1)[:, None]
@@ -62,7 +62,7 @@ def test_a_walk_that_stands_still_has_numbers():
     positions, field = 1e-4 * rng.standard_normal((60, 3)), rng.normal(4e-5, 1e-6, (60, 3))
     places = begin([mm.Survey(positions, field)], SlamConfig())
     assert places.maker is not None
-    places.maker.numbers.check()
+    places.maker.hyperparameters.check()
 
 
 def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
@@ -71,7 +71,7 @@ def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
     stood = path[:1] + 1e-3 * rng.standard_normal((3000, 3))
     both = np.concatenate([stood, path])
     field = Place(0).field(both) + 2e-7 * rng.standard_normal(both.shape)
-    alone, length, _ = shared_numbers([mm.Survey(path, field[3000:])])
-    numbers, with_standing, _ = shared_numbers([mm.Survey(both, field)])
+    alone, length, _ = shared_hyperparameters([mm.Survey(path, field[3000:])])
+    numbers, with_standing, _ = shared_hyperparameters([mm.Survey(both, field)])
     assert abs(np.log(with_standing / length)) < 0.2
     assert abs(np.log(numbers.lengthscale / alone.lengthscale)) < 0.5

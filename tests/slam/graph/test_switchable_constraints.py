@@ -8,8 +8,8 @@ import pytest
 from scipy.special import expit
 
 from magmatch.slam.graph import solve as solving
-from magmatch.slam.graph.doubt import surprise_before, surprises
 from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.switchable_constraints import surprise_before, surprises
 from slam.graph.test_pose_graph import LEVEL, between, graph_of, ring
 
 TRUE = ring(24, laps=2)
@@ -55,7 +55,7 @@ def test_it_is_rejected_once_others_say_that_it_is_wrong():
 @pytest.mark.parametrize("weight", [0.02, 0.3, 0.9, 1.0])
 @pytest.mark.parametrize("others", [0, 3])
 def test_how_the_rest_of_the_graph_sees_a_closure_is_how_the_graph_without_it_does(monkeypatch, weight, others):
-    monkeypatch.setattr(solving, "probabilities", lambda graph, at_first: graph.ties.weight)
+    monkeypatch.setattr(solving, "probabilities", lambda graph, at_first: graph.as_arrays.weight)
     rest = [between(TRUE, k, 12 + k, (0, 0.02, 0)) for k in range(5, 5 + 2 * others, 2)]
     closure = replace(between(TRUE, 4, 18), weight=weight)
     seen = []
@@ -68,7 +68,7 @@ def test_how_the_rest_of_the_graph_sees_a_closure_is_how_the_graph_without_it_do
     assert seen[1] == pytest.approx(seen[0], rel=0.03)
 
 
-def test_a_closure_between_logs_that_nothing_else_ties_surprises_nobody():
+def test_a_closure_between_logs_that_nothing_else_connects_surprises_nobody():
     graph = graph_of(TRUE, LEVEL, logs=np.repeat([0, 1], 12))
     closure = between(TRUE + np.array([3.0, 0.0, 0.0]), 2, 14)
     assert surprise_before(graph, closure) == 0.0

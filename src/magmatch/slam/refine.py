@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Each window is compared once more, with one map of all passes beside it, instead of with each by itself.
+
+A map beside a single line is a guess across it; beside several it is measured. The likelihood of a log is the
+product, window by window, of that of a window given all before it, or given all after it: the mean of both is taken.
+Passes of one log only: where several sensors contradict each other, a map of all shows a field that nobody measured.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import expit, logit
+
+from magmatch.data.survey import Survey
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.geometry import product, rotation_matrix
+from magmatch.progress import counted
+from magmatch.registration.prepared.path_noise import PathNoise
+from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
+from magmatch.runner import Runner
+from magmatch.slam.decide.probable_closures import off_level
+from magmatch.slam.graph.factors import LEAST_KEPT, SubmapFactor
+from magmatch.slam.graph.odometry import covariance_beside
+from magmatch.slam.graph.pose_graph import PoseGraph
+from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.trajectories import corrected
+from magmatch.slam.loop_search import MOST_PASSES
+from magmatch.slam.places import Places
+from magmatch.slam.search.comparison import Candidate, Found, compare
+from magmatch.slam.search.loop_closure import SAME_SHIFT, Expected
+from magmatch.slam.search.predicted import SURE, expected_beside
+from magmatch.slam.search.submaps import make_submap
+from magmatch.slam.windows import Path, Window
+from magmatch.threads import single_threaded
+from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.workers import Task
+
+log = logging.getLogger(__name__)
+
+# Field lengths from a window's path beyond which the field there tells it nothing.
+SUBMAP_REACH = 2.0
+# Standard deviation, in field lengths, of a sample's weight by its distance from the window's path.
+FADES = 0.5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class JointSubmap:
+    """Passes beside a window whose places relative to it the graph knows."""
+
+    survey: Survey  # their samples, in odometry's frame as it was at the best known node
+    node: Indices  # (n,): of each sample
+    passes: Indices  # (k,): a node of each pass, and its share in the map where the window lies; the largest first
+    shares: Scalars
+    best_known: int  # the node relative to which the window's place is known best
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class KnownPath:
+    """Means of a log along its path."""
+
+    positions: Points  # (n, 3), m: frame of the log's component
+    field: Vectors  # (n, 3), T
+    node: Indices  # (n,)
+    n_averaged: float  # samples of a mean, in the median
+
+    @classmethod
+    def of(cls, path: Path, graph: PoseGraph) -> "KnownPath":
+        """Average a log along its path, as the graph has it now."""
+        side = BIN_LENGTH * path.windows[0].length
+        survey, rows = corrected(path, graph), bin_along_path(np.ascontiguousarray(path.survey.positions), side)
+        node = path.nodes[path.number[np.unique(rows, return_index=True)[1]]]
+        n = float(np.median(np.bincount(rows)))
+        return cls(bin_means(survey.positions, rows), bin_means(survey.field, rows), node, n)
+
+    def submap(self, window: Window, graph: PoseGraph, *, later: bool) -> JointSubmap | None:
+        """Submap of a window, of earlier or of later passes; none if there are fewer than two.
+
+        A map of one pass is what the window's closure with it was found on.
+        """
+        reach, b = SUBMAP_REACH * window.length, window.node
+        nodes = np.arange(b + 1, self.node[-1] + 1) if later else np.arange(self.node[0], b)
+        nodes = nodes[~graph.is_one_pass(nodes, b)]
+        nodes = nodes[np.linalg.norm(graph.p[nodes] - graph.p[b], axis=1) < window.path_length + reach]
+        rows = np.flatnonzero(np.isin(self.node, nodes))
+        own = self.positions[self.node == b]
+        apart = np.asarray(cKDTree(own).query(self.positions[rows], 1, 0, 2, reach)[0])
+        rows, apart = rows[np.isfinite(apart)], apart[np.isfinite(apart)]
+        near = np.unique(self.node[rows])
+        if not len(near):
+            return None
+        sds = graph.sds_of_place(near, b)
+        is_known = np.isin(self.node[rows], near[sds < SAME_SHIFT * window.length])
+        rows, weight = rows[is_known], np.exp(-0.5 * (apart[is_known] / (FADES * window.length)) ** 2)
+        passes, shares = _passes(self.node[rows], weight, graph)
+        if len(passes) < 2:
+            return None
+        best = int(near[np.argmin(sds)])
+        T_odometry_map = product(graph.center(best), graph.pose(best).inv())
+        survey = Survey(self.positions[rows], self.field[rows]).transformed(T_odometry_map)
+        return JointSubmap(survey, self.node[rows], passes, shares, best)
+
+
+def _passes(node: Indices, weight: Scalars, graph: PoseGraph) -> tuple[Indices, Scalars]:
+    """A node of each pass, and the pass's share, from the node and the weight of each sample; most weight first."""
+    weights, left = np.bincount(node, weight), np.ones(len(node), bool)
+    passes: list[int] = []
+    shares: list[float] = []
+    for one in np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)].tolist():
+        if len(passes) < MOST_PASSES and not any(graph.is_one_pass(one, other) for other in passes):
+            mine = left & graph.is_one_pass(node, one)
+            passes.append(one)
+            shares.append(float(weight[mine].sum()))
+            left &= ~mine
+    return np.array(passes, np.int64), np.array(shares) / sum(shares)
+
+
+def submap_factor(
+    found: Candidate, node: int, submap: JointSubmap, graph: PoseGraph, path: Path
+) -> SubmapFactor | None:
+    """The factor of a pose that was found for a node's window; none if it is no more probable than not.
+
+    The graph knows that the window lies there, as it does for closures near a place that is known.
+    """
+    probability = float(expit(found.match.log_odds + logit(SURE)))
+    if probability <= LEAST_KEPT:
+        return None
+    T_map_node = product(graph.pose(submap.best_known), found.T_node_window, found.match.T_node_alone)
+    T_passes_node = [product(graph.pose(one).inv(), T_map_node) for one in submap.passes.tolist()]
+    covariance = found.match.covariance_alone + off_level(graph.config)
+    for one, share, T in zip(submap.passes.tolist(), submap.shares, T_passes_node, strict=True):
+        covariance = covariance + share**2 * covariance_beside(path, one, T, graph.config)
+    R, t = np.stack([rotation_matrix(T) for T in T_passes_node]), np.stack([T.translation for T in T_passes_node])
+    return SubmapFactor(node, submap.passes, submap.shares, R, t, covariance, probability)
+
+
+def refine(places: Places, paths: Sequence[Path], run: Runner) -> None:
+    """Find the submap factors of some logs' windows in the order of time, then backward, and solve with them."""
+    graph, found = places.graph, list[SubmapFactor]()
+    of_others = graph.submap_factors
+    for n_orders, later in enumerate((False, True), 1):
+        for path in paths:
+            found += _factors(places, path, run, later=later)
+        if found:
+            graph.submap_factors = (*of_others, *(replace(factor, part=1 / n_orders) for factor in found))
+            solve(graph)
+    log.info("windows placed on maps of several passes: %d", len(found))
+
+
+def _factors(places: Places, path: Path, run: Runner, *, later: bool) -> Iterator[SubmapFactor]:
+    """Factors of a log's windows with its earlier passes, or with its later ones."""
+    known, graph, asked = KnownPath.of(path, places.graph), places.graph, deque[tuple[Window, JointSubmap]]()
+
+    def tasks() -> Iterator[Task]:
+        what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
+        for window in counted(what, [window for window in path.windows if window.keeps_shape]):
+            if (submap := known.submap(window, graph, later=later)) is not None:
+                asked.append((window, submap))
+                yield _comparison(window, submap, places, known.n_averaged)
+
+    for found in run(compare_with_passes, tasks()):
+        window, submap = asked.popleft()
+        if found:
+            candidate = Candidate.beside(submap.best_known, found[0][1], window, graph.center(submap.best_known))
+            if (factor := submap_factor(candidate, window.node, submap, graph, path)) is not None:
+                yield factor
+
+
+def _comparison(window: Window, submap: JointSubmap, places: Places, n_averaged: float) -> Task:
+    """Look for a window on its submap near where the graph has it; each sample is a mean of so many."""
+    maker, best = places.maker, submap.best_known
+    assert maker is not None
+    # They measure what lies between them, of which the submap of a single pass has its prior alone.
+    of_samples = maker.hyperparameters
+    hyperparameters = replace(of_samples, noise_sd=of_samples.noise_sd / float(np.sqrt(n_averaged)))
+    expected = expected_beside(window, np.array([best]), places.graph)[best]
+    arguments = (window, submap.survey, submap.node, hyperparameters, expected, maker.noise, maker.length)
+    return Task(f"window {window.node} on a map of several passes", arguments)
+
+
+@single_threaded
+def compare_with_passes(
+    window: Window,
+    survey: Survey,
+    node: Indices,
+    hyperparameters: Hyperparameters,
+    expected: Expected,
+    noise: PathNoise,
+    length: float,
+) -> Found:
+    """Poses of a window near the expected one, on one map of samples of several passes."""
+    return compare(window, make_submap(survey, node, hyperparameters, noise, length, None), expected, noise, [])
