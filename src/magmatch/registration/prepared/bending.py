@@ -7,8 +7,8 @@ from scipy.linalg import svd
 from magmatch.geometry import skew
 from magmatch.typing import Points
 
-# Rates at which a walk may drift against a base, m per sqrt(m) walked, equally likely: from a SLAM's own correction
-# to dead reckoning.
+# Rates at which surveys may drift, m per sqrt(m) walked, equally likely: from a SLAM's own correction to dead
+# reckoning.
 RATES = (0.02, 0.05, 0.1, 0.2)
 # Turn that comes with a shift of one metre, rad/m: what dead reckoning loses of both (0.6 deg with 10 cm).
 TURN_PER_SHIFT = 0.1
@@ -20,7 +20,8 @@ def bending_modes(positions: Points) -> np.ndarray:
     """Effect of independent errors of unit variance on each point of a path: (n, 6, m), turn (rad), shift (m).
 
     At a rate of 1 m per sqrt(m): a random walk of the position, and one of the orientation, which carries all that
-    follows around. The best rigid motion is taken out: that is the pose's.
+    follows around; both about their means, which the pose takes up. Base and target drift alike, so each mode counts
+    for both.
     """
     n = len(positions)
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
@@ -33,13 +34,6 @@ def bending_modes(positions: Points) -> np.ndarray:
         columns.append(np.concatenate([np.broadcast_to(e, carried.shape), carried], axis=2) * TURN_PER_SHIFT)
         columns.append(np.broadcast_to(np.concatenate([np.zeros(3), e]), (n, n - 1, 6)))
     loads = np.moveaxis(np.concatenate([follows[:, :, None] * column for column in columns], axis=1), 1, 2)
-    lever = -skew(positions - positions.mean(axis=0))
-    eye = np.broadcast_to(np.eye(3), lever.shape)
-    # What a rigid motion does to turns and shifts of the points.
-    rigid = np.concatenate(
-        [np.concatenate([eye, 0 * eye], axis=2), np.concatenate([lever, eye], axis=2)], axis=1
-    ).reshape(6 * n, 6)
-    flat = loads.reshape(6 * n, -1)
-    flat = flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0]
+    flat = np.sqrt(2) * (loads - loads.mean(axis=0)).reshape(6 * n, -1)
     modes, strengths, _ = svd(flat, full_matrices=False, check_finite=False)
     return np.asarray((modes[:, :N_MODES] * strengths[:N_MODES]).reshape(n, 6, -1))
