@@ -68,7 +68,9 @@ class WalkStrategy:
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
-        estimate = pair.estimate(with_frame_error(pose, pair.target.pose_sd))
+        # The drift of a walk that bends is that of its frame, too.
+        pose_sd = pair.target.pose_sd if pair.base.noise.is_learned else 0.0
+        estimate = pair.estimate(with_frame_error(pose, pose_sd))
         return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)
 
     # Along a path, nothing remains to be widened.

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from magmatch.geometry import skew
-from magmatch.registration.prepared.bending import TURN_PER_SHIFT, bending_modes
+from magmatch.registration.prepared.bending import TURN_PER_SHIFT, bending_of
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +21,12 @@ def rigid_motions(x):
     return rows.reshape(6 * len(x), 6)
 
 
-def test_no_mode_moves_the_path_rigidly(path):
-    modes = bending_modes(path)
-    overlap = rigid_motions(path).T @ modes.reshape(6 * len(path), -1)
-    assert np.abs(overlap).max() < 1e-8 * np.abs(modes).max() * len(path)
+def test_no_mode_moves_the_path_as_a_rigid_body_does(path):
+    modes = bending_of(path).modes.reshape(6 * len(path), -1)
+    assert np.abs(rigid_motions(path).T @ modes).max() < 1e-8 * np.abs(modes).max() * len(path)
 
 
-def test_modes_have_the_covariance_of_random_walks_about_their_best_rigid_motion(path):
+def test_modes_and_frame_have_the_covariances_of_what_two_random_walks_do(path):
     rng, x, n = np.random.default_rng(0), path, len(path)
     steps, middles = np.linalg.norm(np.diff(x, axis=0), axis=1), (x[1:] + x[:-1]) / 2
     rigid, drawn = rigid_motions(x), []
@@ -38,16 +37,21 @@ def test_modes_have_the_covariance_of_random_walks_about_their_best_rigid_motion
         for k in range(n - 1):
             moved[k + 1 :, :3] += turns[k]
             moved[k + 1 :, 3:] += shifts[k] + np.cross(turns[k], x[k + 1 :] - middles[k])
-        flat = moved.ravel()
-        drawn.append(flat - rigid @ np.linalg.lstsq(rigid, flat, rcond=None)[0])
-    expected, modes = np.cov(np.array(drawn).T), bending_modes(x).reshape(6 * n, -1)
-    np.testing.assert_allclose(np.diag(modes @ modes.T), np.diag(expected), rtol=0.2, atol=0.02 * expected.max())
+        drawn.append((moved - moved.mean(axis=0)).ravel())
+    drifts, bending = np.sqrt(2) * np.array(drawn).T, bending_of(x)
+    followed = np.linalg.lstsq(rigid, drifts, rcond=None)[0]
+    # Drift is about its mean, so the frame turns alone.
+    np.testing.assert_allclose(bending.frame[3:], 0, rtol=0, atol=1e-9)
+    of_turns = bending.frame[:3, :3]
+    np.testing.assert_allclose(of_turns, np.cov(followed[:3]), rtol=0, atol=0.1 * np.trace(of_turns) / 3)
+    left = (drifts - rigid @ followed).var(axis=1)
+    np.testing.assert_allclose((bending.modes**2).sum(axis=2).ravel(), left, rtol=0.15, atol=0.02 * left.max())
 
 
 def test_a_path_twice_as_long_bends_more_by_its_shifts_and_still_more_by_its_turns(path):
     # Shifts grow with the square root of the path; turns too, and their arms with the path itself.
     small, more, large, larger = (
-        np.sqrt((bending_modes(scale * path)[:, 3:] ** 2).sum()) for scale in (1e-3, 2e-3, 1e3, 2e3)
+        np.sqrt((bending_of(scale * path).modes[:, 3:] ** 2).sum()) for scale in (1e-3, 2e-3, 1e3, 2e3)
     )
     assert more / small == pytest.approx(np.sqrt(2), rel=1e-3)
     assert larger / large == pytest.approx(np.sqrt(8), rel=1e-2)

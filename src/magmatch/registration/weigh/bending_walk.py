@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
-from magmatch.registration.prepared.bending import RATES, bending_modes
+from magmatch.registration.prepared.bending import RATES, Bending, bending_of
 from magmatch.registration.prepared.hypotheses import N_REFINED
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
@@ -53,14 +53,14 @@ class BendingWalk:
     prior: PosePrior
     config: LineConfig
     null: UnrelatedWalk  # its noise is that of a bin, and how all residuals may be larger or smaller than stated
-    modes: np.ndarray  # (n, 6, m): turn (rad) and shift (m) of each bin by bending modes at a rate of 1
+    bending: Bending  # of the walk's bins
 
     @classmethod
     def of(cls, base: PreparedMap, walk: Walk, length: float, prior: PosePrior, config: LineConfig) -> "BendingWalk":
         """State the walk's null model, with the noise of a bin, and its modes."""
         noise = noise_of_bins(base.noise_sd, length)
         null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, length)
-        return cls(base, walk, length, prior, config, null, bending_modes(walk.positions))
+        return cls(base, walk, length, prior, config, null, bending_of(walk.positions))
 
     def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
         """Refine poses at one rate, and the best few at all; best first, without those outside the base."""
@@ -85,7 +85,7 @@ class BendingWalk:
             if known.sum() < MIN_BINS:
                 return None
             if step in RENEWED or not np.array_equal(known, seen):
-                moved = (slopes @ (rate * self.modes[known])).reshape(len(rows), -1)
+                moved = (slopes @ (rate * self.bending.modes[known])).reshape(len(rows), -1)
                 factor, seen = np.linalg.cholesky(self._rigid_covariance(R, points) + moved @ moved.T), known
             white = solve_triangular(factor, rows, lower=True, check_finite=False)
             r, J = white[:, 0], white[:, 1:]
@@ -107,7 +107,7 @@ class BendingWalk:
         return LineEvidence(
             T_base_target=transform_of(R, p - R @ self._center),
             center=self._center,
-            covariance=covariance,
+            covariance=covariance + rate**2 * self.bending.frame,
             overlap=float(known.mean()),
             log_evidence=rest - 0.5 * chi2,
             attainable=rest - 0.5 * min(chi2, n_free),
