@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections import namedtuple
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from crafted import apart, sealed, together
 from magmatch import store
+from magmatch.data.formats.sniff import sniff
 from magmatch.errors import DataFormatError
 from magmatch.store import dumps, expect, load, loads, open_stored, save
 
@@ -137,6 +139,15 @@ def test_every_flipped_byte_is_noticed(tmp_path):
             with pytest.raises(DataFormatError, match=r"^state: "):
                 loads(damaged, SCHEMA)
     assert "its arrays are not what was written" in refusal(SMALL[:-1] + b"\1", tmp_path / "a")
+
+
+def test_a_map_with_one_damaged_byte_is_still_told_as_a_map(tmp_path):
+    whole, n_told = dumps("magmatch.map/3", {"x": np.zeros(3)}), 0
+    for at in range(len(whole)):
+        (tmp_path / "a").write_bytes(whole[:at] + bytes([whole[at] ^ 1 << at % 8]) + whole[at + 1 :])
+        with suppress(DataFormatError):  # where the schema says that it is something else
+            n_told += sniff(tmp_path / "a") == "map"
+    assert n_told >= len(whole) - len("magmatch.map/")
 
 
 def test_every_cut_and_every_longer_file_is_refused(tmp_path):

@@ -41,7 +41,7 @@ MAX_BYTES = 2 << 30
 # Some 200 bytes for each of 300,000 arrays.
 MAX_HEADER = 64 << 20
 UNIT_QUATERNION_TOLERANCE = 1e-9
-START = STORED + b'":{"sha256":"'
+START = b"{" + STORED + b'":{"sha256":"'
 HEX = 64
 # Behind the header's length, its start, and the digest.
 PREFIX = 8 + len(START) + HEX

@@ -75,7 +75,7 @@ BROKEN_ZIP = (
     lzma.LZMAError,
 )
 # How a saved file (`magmatch.store`) begins, behind eight bytes that may be any.
-STORED = b'{"__metadata__'
+STORED = b'"__metadata__'
 _STORED_HEAD = 400  # bytes: two digests and the schema
 _REGISTRATION_SCHEMA = "magmatch.registration/"
 _HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
@@ -86,8 +86,7 @@ def sniff(path: str | Path) -> FileKind:
     if is_folder(path):
         return _sniff_folder(path)
     head = read_bytes(path, _HEAD)
-    # First, and loosely: eight bytes of any kind stand before it, and what is damaged there shall be told as a map.
-    if STORED in head[:64]:
+    if _is_stored(head):
         _refuse_gzip(path, "a saved map")
         if found := _other_schema(head):
             raise DataFormatError(path, f"holds '{found}', expected a survey (CSV) or a saved map")
@@ -111,7 +110,12 @@ def may_be_map(path: Path) -> bool:
     """Whether a file of a folder is a saved map, of this or an earlier version, damaged or not."""
     with path.open("rb") as stream:
         head = stream.read(_STORED_HEAD)
-    return (STORED in head[:64] and not _other_schema(head)) or (head.startswith(b"PK") and sniff(path) == "map")
+    return (_is_stored(head) and not _other_schema(head)) or (head.startswith(b"PK") and sniff(path) == "map")
+
+
+def _is_stored(head: bytes) -> bool:
+    """Whether a file was saved by `magmatch.store`: told loosely, so that one damaged byte hides no map."""
+    return STORED in head[:64] or head[4:9] == b"\0\0\0\0{"
 
 
 def _other_schema(head: bytes) -> str:
