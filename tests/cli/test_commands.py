@@ -300,8 +300,8 @@ def test_the_quick_evaluation_runs_whole_and_goes_on_where_it_stood(run, tmp_pat
     assert "Nowhere in this run." in first.out  # where `default` is not ahead
     assert first.out == again.out
     assert (tmp_path / "e" / "report.html").stat().st_size < 5e6
-    assert "0 of 12 trials" in first.err
-    assert "0 of 12 trials" not in again.err  # all of them were there
+    assert "0 of 18 trials" in first.err
+    assert "0 of 18 trials" not in again.err  # all of them were there
 
 
 def test_query_offers_no_options_of_logs(run):

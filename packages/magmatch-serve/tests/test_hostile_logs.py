@@ -90,7 +90,7 @@ def test_after_bombs_the_service_answers_as_before(hall, tmp_path):
     log = tmp_path / "log.csv"
     hall.walk(3, laps=0.25)[0].save(log)
     (tmp_path / "limits.yaml").write_text("max_reading: 120000000\nlog_workers: 1\n")
-    with serving(hall.map, "--config", tmp_path / "limits.yaml") as door:
+    with serving(hall.map, "--config", tmp_path / "limits.yaml", "--states", tmp_path / "states") as door:
         for body in ((tmp_path / "bomb").read_bytes(), b"MATLAB 5.0 MAT-file".ljust(128, b"\1") * 9):
             status, _, said = door.ask("/localize", body, method="POST")
             assert status in {413, 422, 503}, said

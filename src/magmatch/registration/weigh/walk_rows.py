@@ -36,7 +36,7 @@ def residual_rows(
         ``[[b]x, G]``: what a turn and a shift of each bin do to its residual.
     """
     rows, slopes = np.empty((*known.shape, 3, N_COLUMNS)), np.empty((*known.shape, 3, 6))
-    field, gradient = (np.ascontiguousarray(x) for x in values)
+    R, y, b, field, gradient = (np.ascontiguousarray(x) for x in (R, y, b, *values))
     _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, *np.zeros((2, 3, 3)))
     return rows, slopes
 
