@@ -16,14 +16,14 @@ import numpy as np
 from scipy.special import chdtri
 
 import magmatch as mm
-from magmatch.geometry import log_se3, transform_error
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import SimulatedPair
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import arguments
+from magmatch_evaluation.script import arguments, pose_error
 from magmatch_evaluation.statistics import wilson_interval
+from magmatch_evaluation.trial import nees_of
 
 COLUMNS = (
     "drift, m/sqrt(m)", "prior", "n", "accepted", "right", "inaccurate", "wrong", "best pose right",
@@ -38,30 +38,17 @@ def register(base: mm.FieldMap, target: mm.Survey, *, aligned: bool) -> Registra
     return mm.register(base, target, config)
 
 
-def errors(T: object, pair: SimulatedPair) -> tuple[float, float]:
-    """Metres and degrees off, at the target's centre."""
-    distance, angle = transform_error(T, pair.T_base_target, pair.target.centroid)  # type: ignore[arg-type]
-    return distance, float(np.degrees(angle))
-
-
-def is_near(off: tuple[float, float]) -> bool:
-    return off[0] < 1.5 and off[1] < 8
-
-
 def judged(result: RegistrationResult, pair: SimulatedPair) -> dict[str, float]:
     """What became of a pair."""
-    row = dict.fromkeys(("accepted", "right", "inaccurate", "wrong", "best"), 0.0)
-    if result.best_pose is not None:
-        row["best"] = float(is_near(errors(result.best_pose, pair)))
-    row["inaccurate"] = float(result.status is Status.DEGENERATE)
-    if result.T_base_target is None or result.covariance is None:
+    metres, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
+    degrees, nees = float(np.degrees(angle)), nees_of(result, pair.T_base_target)
+    is_near = metres < 1.5 and degrees < 8
+    row = {"best": float(is_near), "inaccurate": float(result.status is Status.DEGENERATE)}
+    if not np.isfinite(nees):
         return row
-    xi = log_se3(result.T_base_target.inv() * pair.T_base_target)
-    chi2 = float(xi @ np.linalg.solve(result.covariance, xi))
-    off = errors(result.T_base_target, pair)
     return row | {
-        "accepted": 1.0, "right": float(chi2 < WITHIN), "wrong": float(not is_near(off)), "nees": chi2 / 6,
-        "metres": off[0], "degrees": off[1],
+        "accepted": 1.0, "right": float(6 * nees < WITHIN), "wrong": float(not is_near), "nees": nees,
+        "metres": metres, "degrees": degrees,
     }  # fmt: skip
 
 

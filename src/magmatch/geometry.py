@@ -228,6 +228,12 @@ def perturbation(xi: np.ndarray, center: Vector3) -> RigidTransform:
     return transform_of(R, center + xi[3:] - R @ center)
 
 
+def perturbation_between(T: RigidTransform, T_moved: RigidTransform, center: Vector3) -> np.ndarray:
+    """The xi of ``T_moved = T perturbation(xi, center)``: rotation first (rad, m)."""
+    moved = T.inv() * T_moved
+    return np.concatenate([moved.rotation.as_rotvec(), moved.apply(center) - center])
+
+
 def random_transform(rng: np.random.Generator, max_translation: float = 5.0) -> RigidTransform:
     """Uniformly random rotation, and a translation uniform in a cube of twice ``max_translation`` (m)."""
     rotation = Rotation.random(rng=rng)

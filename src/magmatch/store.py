@@ -31,6 +31,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch._version import __version__
 from magmatch.atomic import atomic_write
+from magmatch.data.document import unique_keys
 from magmatch.data.formats.sniff import STORED
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import read_bytes
@@ -197,7 +198,7 @@ def _opened(raw: np.ndarray, schema: str, path: str | Path) -> Stored:
     if hashlib.sha256(rest).hexdigest() != sha256:
         raise DataFormatError(path, "its header is not what was written: damaged or changed; make it again")
     with naming(path):
-        header = json.loads(START + start[-HEX:] + rest, object_pairs_hook=_unique)
+        header = json.loads(START + start[-HEX:] + rest, object_pairs_hook=unique_keys)
         about = header.pop("__metadata__")
         for name in ("data", "schema", "version", "content"):
             if not isinstance(about[name], str):
@@ -250,15 +251,6 @@ def _view(raw: np.ndarray, name: str, entry: Mapping[str, Any]) -> np.ndarray:
     except ValueError as error:
         msg = f"entry '{name[:60]}': {error}"
         raise ValueError(msg) from None
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Refuse an object with a repeated key: readers differ in which value they take."""
-    made = dict(pairs)
-    if len(made) < len(pairs):
-        msg = f"one of the keys {[name[:20] for name in sorted(made)[:5]]} appears twice"
-        raise ValueError(msg)
-    return made
 
 
 def _frozen(value: Any, name: str, found: dict[int, tuple[str, np.ndarray, Any]]) -> Any:

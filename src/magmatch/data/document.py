@@ -61,7 +61,7 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
         raise DataFormatError(path, f"is larger than any {what} ({max_bytes} bytes)")
     try:
         text = content.decode("utf-8-sig")
-        document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse, parse_float=_finite)
+        document = json.loads(text, object_pairs_hook=unique_keys, parse_constant=_refuse, parse_float=_finite)
         # Files from elsewhere need not have a checksum.
         is_changed = isinstance(document, dict) and document.get("checksum") not in (None, checksum(document))
     except (ValueError, RecursionError) as error:
@@ -143,11 +143,11 @@ class TypedDocument:
         return found
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Refuse an object with a repeated key: readers differ in which value they take."""
     made = dict(pairs)
     if len(made) < len(pairs):
-        msg = f"one of the keys {sorted(made)[:5]} appears twice"
+        msg = f"one of the keys {[name[:20] for name in sorted(made)[:5]]} appears twice"
         raise ValueError(msg)
     return made
 

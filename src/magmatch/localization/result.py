@@ -141,7 +141,7 @@ class LocalizationResult(TypedDocument):
 
     @property
     def maps_in_words(self) -> str:
-        """Of a folder the likely maps, and that it is none of them, with their probabilities; else nothing."""
+        """Name a folder's likely maps, and say that it is none, with the probabilities; of one map, nothing."""
         if not self.maps:
             return ""
         none = max(1 - sum(self.maps.values()), 0.0)

@@ -59,8 +59,8 @@ def register_once(
         # Another strategy is another look at the map that was most probable; the likelier of both looks counts.
         likely = _likely(bases, strategy, clock) if best is None else [best]
         for one in likely:
-            looks = weigh(bases, one, likely, strategy, given, clock), *(weighed[k] for k in weighed if k is one)
-            weighed[one] = max(looks, key=lambda look: look.best_log_odds)
+            look = weigh(bases, one, likely, strategy, given, clock)
+            weighed[one] = max(look, weighed.get(one, look), key=lambda each: each.best_log_odds)
         best, answer = decide_among(bases, weighed, clock)
         if answer.is_accepted:
             break

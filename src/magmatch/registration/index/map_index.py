@@ -235,7 +235,7 @@ def _packed(raster: Raster) -> dict[str, Any]:
 
 
 def index_path(map_path: str | Path) -> Path:
-    """Where what was prepared of a saved map is kept: beside it, with ``.index`` added to its name."""
+    """Name the file for what was prepared of a saved map: it lies beside the map, with ``.index`` added."""
     path = Path(map_path)
     return path.with_name(path.name + SUFFIX)
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
 from magmatch.field.values import gradient_of
-from magmatch.geometry import perturbation, rotate_vectors, skew, transform_points
+from magmatch.geometry import perturbation, perturbation_between, rotate_vectors, skew, transform_points
 from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
 from magmatch.registration.prepared.hypotheses import N_REFINED, POSE_SHIFT, POSE_TURN
@@ -134,8 +134,7 @@ def refine(
 
 def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
     """Perturbation about the centre that takes one pose to the other."""
-    moved = before.T_base_target.inv() * after.T_base_target
-    return np.concatenate([moved.rotation.as_rotvec(), moved.apply(before.center) - before.center])
+    return perturbation_between(before.T_base_target, after.T_base_target, before.center)
 
 
 def information_of(blocks: tuple[ResidualBlock, ...]) -> Matrix:

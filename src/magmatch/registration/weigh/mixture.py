@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magmatch.geometry import perturbation
+from magmatch.geometry import perturbation, perturbation_between
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 
@@ -22,8 +22,7 @@ def mixture(models: Sequence[LineEvidence]) -> LineEvidence:
     if not np.isfinite(total):
         return best
     shares, c = np.exp(evidence - total), best.center
-    moved = [best.T_base_target.inv() * one.T_base_target for one in models]
-    off = np.stack([np.concatenate([T.rotation.as_rotvec(), T.apply(c) - c]) for T in moved])
+    off = np.stack([perturbation_between(best.T_base_target, one.T_base_target, c) for one in models])
     mean, within = shares @ off, np.tensordot(shares, [one.covariance for one in models], axes=1)
     return replace(
         best,
