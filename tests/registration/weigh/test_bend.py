@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import Polynomial, prepared_map, some_field
@@ -19,7 +20,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.bend import Bend, bend_of_map, bend_of_walk
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, weigh_walk
 
 NOISE = PathNoise(0.2e-6, 0.8, 0.1e-6, 0.1e-6, 1.0, 0.8, 0.005, 0.005, 3.0, spread=0.4, n_stretches=9)
 # Turns and comes back, so that each half fixes its pose.
@@ -58,19 +59,19 @@ def place():
 def test_halves_of_a_rigid_walk_agree(place):
     base, T = place
     bend = found(base, walk_through(base, T), T)
-    assert bend.chi2 < 1e-3
-    assert not bend.is_sure(0.5)
+    assert bend.half_chi2 < 1e-3
+    assert bend.probability < 0.2
 
 
 def test_a_bend_is_found_with_its_size(place):
     base, T = place
     xi = np.array([0.02, -0.03, 0.05, 0.03, -0.02, 0.04])
     bend = found(base, bent(walk_through(base, T), xi, PATH.mean(axis=0)), T)
-    assert bend.is_sure(0.999)
+    assert bend.probability > 0.999
     np.testing.assert_allclose(bend.xi, xi, atol=4e-3)
     # Less may be the halves' own errors.
     xi = 0.3 * np.sqrt(np.diag(bend.covariance))
-    assert not found(base, bent(walk_through(base, T), xi, PATH.mean(axis=0)), T).is_sure(0.9)
+    assert found(base, bent(walk_through(base, T), xi, PATH.mean(axis=0)), T).probability < 0.9
 
 
 def test_a_pose_is_off_by_as_much_as_the_walk_bends_and_by_more_where_the_base_ends(place):
@@ -133,7 +134,7 @@ def test_samples_of_a_map_bend_as_a_walk_does(size):
     bend = bend_as_map(
         place, as_map(bent(walk_through(place.map, place.truth, FINE_PATH), xi, FINE_PATH.mean(axis=0)))
     )
-    assert bend.is_sure(0.99) == (size > 0)
+    assert (bend.probability > 0.99) == (size > 0)
     np.testing.assert_allclose(bend.xi, xi, atol=6e-3)
 
 
@@ -142,13 +143,13 @@ def test_what_the_base_does_not_know_between_its_samples_and_what_positions_drif
     walk = bent(walk_through(placed().map, placed().truth, FINE_PATH), xi, FINE_PATH.mean(axis=0))
     known = bend_as_map(placed(), as_map(walk))
     vague = bend_as_map(placed(error=3e-6), as_map(walk))
-    assert vague.chi2 < known.chi2 / 10
+    assert vague.half_chi2 < known.half_chi2 / 10
     one = Drift(0.1, 0.1, np.zeros(len(FINE_PATH), dtype=np.int64), np.ones((1, 1)))
     walk = bent(walk_through(placed().map, placed().truth, FINE_PATH), [0, 0, 0, *xi[3:]], FINE_PATH.mean(axis=0))
-    assert bend_as_map(placed(), as_map(walk)).is_sure(0.99)
+    assert bend_as_map(placed(), as_map(walk)).probability > 0.99
     stated = bend_as_map(placed(), replace(as_map(walk), drift=one))
     assert np.sqrt(np.diag(stated.covariance)[3:]).min() > 0.9 * np.sqrt(2) * 0.1
-    assert not stated.is_sure(0.99)
+    assert stated.probability < 0.99
 
 
 def test_samples_in_no_order_have_no_halves():
@@ -163,10 +164,37 @@ def test_what_a_bend_does_to_a_point_is_the_same_in_any_axes_and_about_any_centr
     A = rng.normal(size=(6, 6))
     bend, T = Bend(xi, center, A @ A.T, 1.7), random_transform(rng)
     seen = bend.seen_from(T)
-    moved = 1.7 * (xi[3:] + np.cross(xi[:3], point - center))
+    size = 1.7 * np.sqrt(bend.share)
+    moved = size * (xi[3:] + np.cross(xi[:3], point - center))
     for found, R, p in ((bend, np.eye(3), point), (seen, T.rotation.as_matrix(), T.apply(point))):
         spread = found.spread(p)
         np.testing.assert_allclose(spread[3:, 3:], R @ np.outer(moved, moved) @ R.T, atol=1e-9)
-        np.testing.assert_allclose(spread[:3, :3], 1.7**2 * R @ np.outer(xi[:3], xi[:3]) @ R.T, atol=1e-9)
+        np.testing.assert_allclose(spread[:3, :3], size**2 * R @ np.outer(xi[:3], xi[:3]) @ R.T, atol=1e-9)
         assert not spread[:3, 3:].any()
-    assert seen.chi2 == pytest.approx(bend.chi2, rel=1e-6)
+    assert seen.half_chi2 == pytest.approx(bend.half_chi2, rel=1e-6)
+
+
+@pytest.mark.parametrize("c", [1e-6, 0.5, 3.0, 8.0, 40.0, 300.0])
+def test_the_evidence_of_a_bend_of_any_size_is_its_integral(c):
+    xi = np.sqrt(2 * c / 6) * np.ones(6)
+    bend = Bend(xi, np.zeros(3), np.eye(6), 1.0)
+    mass, _ = quad(lambda u: 0.5 * u**2.5 * np.exp(-c * u), 0, 1, epsabs=0)
+    kept, _ = quad(lambda u: 0.5 * (1 - u) * u**2.5 * np.exp(-c * u), 0, 1, epsabs=0)
+    assert bend.log_ratio == pytest.approx(c + np.log(mass), rel=1e-6)
+    assert bend.share == pytest.approx(kept / mass, rel=1e-6)
+    assert bend.log_density == pytest.approx(np.log(mass) - 3 * np.log(2 * np.pi), rel=1e-6)
+
+
+def test_a_walk_that_bends_has_the_evidence_of_its_halves(place):
+    """Halves fit as well as they do without a bend; a rigid pose does not."""
+    base, T = place
+    whole, halves = [], []
+    for degrees in (0.0, 3.0):
+        walk = bent(walk_through(base, T), [0, 0, np.radians(degrees), 0, 0, 0], PATH.mean(axis=0))
+        (pose,) = weigh_walk(base, walk, [T], NOISE, 0.8, PosePrior(100.0), LineConfig())
+        rigid, bending = found(base, walk, T).among(pose)
+        assert rigid is pose
+        whole.append(rigid.log_evidence)
+        halves.append(bending.log_evidence)
+    assert whole[1] < whole[0] - 20
+    assert abs(halves[1] - halves[0]) < (whole[0] - whole[1]) / 3
