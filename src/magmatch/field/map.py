@@ -278,7 +278,7 @@ class FieldMap:
         return replace(self, survey=merged, posterior=posterior, fitted_samples=fitted, parts=parts)
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one file (layout in ``docs/conventions.md``), whole or not at all.
+        """Write the map to one file (layout in ``docs/formats.md``), whole or not at all.
 
         Parameters
         ----------
