@@ -7,7 +7,7 @@ from magmatch.data.sensor_axes import find_stuck
 from magmatch.errors import SurveyError
 from magmatch.preparation.blocks import model_of
 from magmatch.preparation.config import CalibrationConfig
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, Block, Solution, System, student_weights
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, ParameterBlock, Solution, System, student_weights
 from magmatch.preparation.plausible import why_no_field, why_no_sensor
 from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
 from magmatch.typing import Scalars, Vector3, Vectors
@@ -44,7 +44,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
         columns = {"hard_iron": -u.T, "soft_iron": np.einsum("ni,kij,nj->kn", u, SOFT_IRON_BASIS, readings)}
         y = magnitude - sum(values[name] @ columns[name] for name in columns)
         scale = {"hard_iron": sizes.hard_iron_sd, "soft_iron": sizes.soft_iron_sd}
-        blocks = {name: Block(column[..., None], scale[name]) for name, column in columns.items()}
+        blocks = {name: ParameterBlock(column[..., None], scale[name]) for name, column in columns.items()}
 
         def project(c: np.ndarray, w: np.ndarray = weights) -> tuple[np.ndarray, np.ndarray]:
             left = c * w[:, None]

@@ -11,7 +11,7 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
-from magmatch.preparation.least_squares import Block, Solution, System, student_weights
+from magmatch.preparation.least_squares import ParameterBlock, Solution, System, student_weights
 from magmatch.preparation.plausible import why_no_sensor
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import SensorModel
@@ -232,6 +232,6 @@ class _Estimator:
             field = np.einsum("nij,nj->ni", R, model.corrected(self.part.readings, self.channels))
             moved = np.einsum("nij,nj->ni", consistency.gradient(field), poses.velocity)
             drift = np.cross(poses.spin, field) - moved
-            blocks["time_offset"] = Block(drift[None], TIME_OFFSET_SD)
+            blocks["time_offset"] = ParameterBlock(drift[None], TIME_OFFSET_SD)
             y = y - model.time_offset * drift
         return System.of(y, blocks, consistency.project)
