@@ -31,7 +31,7 @@ FEWEST_READINGS = 100
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Calibration:
+class CalibrationEstimate:
     """Estimated errors of clock and sensor."""
 
     model: SensorModel  # the correction; the identity if nothing was significant
@@ -54,7 +54,7 @@ class Calibration:
         """Whether the correction was withdrawn."""
         return bool(self.refused)
 
-    def withdrawn(self, why: str) -> "Calibration":
+    def withdrawn(self, why: str) -> "CalibrationEstimate":
         """Drop the correction, if there is a reason in words."""
         return replace(self, model=SensorModel(), refused=why) if why else self
 
@@ -62,7 +62,7 @@ class Calibration:
 @single_threaded
 def calibrate(
     sensor_log: SensorLog, config: PreparationConfig, channels: Mapping[str, Scalars], is_good: Mask
-) -> Calibration | None:
+) -> CalibrationEstimate | None:
     """Estimate clock offset, hard and soft iron, misalignment and currents together, against a map of the place."""
     switches = switches_of(config, sensor_log, channels)
     largest = config.time_offset.largest if "time_offset" in switches else 0.0
@@ -94,7 +94,7 @@ def calibrate(
         beyond, active = float(chosen.estimate["time_offset"][0]), active - {"time_offset"}
         model, system = estimator.refined(replace(model, time_offset=0.0), active)
         chosen = system.solve(active)
-    calibration = Calibration(
+    calibration = CalibrationEstimate(
         model_of(chosen.estimate, values),
         full,
         chosen,
@@ -118,7 +118,9 @@ def _rms(residual: Vectors) -> float:
     return float(np.sqrt((residual**2).mean()))
 
 
-def _held_to_account(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> Calibration:
+def _held_to_account(
+    calibration: CalibrationEstimate, part: SensorLog, channels: Mapping[str, Scalars]
+) -> CalibrationEstimate:
     """The calibration with a map's errors on held-out stretches; withdrawn if they grow or no sensor is like that."""
     errors, spreads = [], []
     for model in (SensorModel(), calibration.model):

@@ -10,7 +10,7 @@ from magmatch.data.sensor_axes import find_repeats, stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
-from magmatch.preparation.calibrate_on_map import Calibration, calibrate
+from magmatch.preparation.calibrate_on_map import CalibrationEstimate, calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_saturation
@@ -32,7 +32,7 @@ class SensorEstimate:
     known: SensorModel | None  # correction known beforehand; `log` has it
     log: SensorLog | None  # none without orientations, with which the sensor's errors turn
     cuts: Recalibrations  # where the phone recalibrated itself; `log` has them joined
-    calibration: Calibration | None
+    calibration: CalibrationEstimate | None
     channels: Mapping[str, Scalars]  # other channels of the log
     why_not: str = ""  # why nothing was estimated, in words
 
