@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
+from magmatch.localization.estimate import Hypothesis, LocalizerStatus, PoseEstimate
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, Window, follow
 from magmatch.localization.null_model import NullModel
@@ -235,17 +235,17 @@ class Belief:
         words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
         return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
 
-    def estimate(self, T: Matrix, *, at_once: bool) -> Estimate:
+    def estimate(self, T: Matrix, *, at_once: bool) -> PoseEstimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
         stands = (at_once or self._stands()) if self._is_place_known() else False
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
-            return Estimate(status, words, probability=self._found.best, is_place_known=stands)
+            return PoseEstimate(status, words, probability=self._found.best, is_place_known=stands)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
         said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
         is_in = bool(self._window.fit[-1, 0]["is_known"])
-        return Estimate(
+        return PoseEstimate(
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             self._words if is_in else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),

@@ -37,7 +37,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Estimate:
+class PoseEstimate:
     """Where the body is.
 
     Attributes

@@ -10,7 +10,7 @@ from magmatch.arguments import expect_kind, expect_transform
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
+from magmatch.localization.estimate import Hypothesis, LocalizerStatus, PoseEstimate
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.samples import Samples
@@ -81,14 +81,14 @@ class Localizer:
                 belief.search()
         self._maps.judge()
 
-    def estimate(self, *, at_once: bool = False) -> Estimate:
+    def estimate(self, *, at_once: bool = False) -> PoseEstimate:
         """Give the present estimate; its ``T_map_body`` is None unless the pose is stated.
 
         ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands.
         """
         best = self._maps.best
         if best is None:
-            return Estimate(LocalizerStatus.SEARCHING, self._maps.why_none)
+            return PoseEstimate(LocalizerStatus.SEARCHING, self._maps.why_none)
         return best.estimate(self._samples.T_odom_body, at_once=at_once)
 
     def map_probabilities(self) -> dict[str, float]:
