@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Hypothesis, LocalizerStatus, PoseEstimate
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, Window, follow
 from magmatch.localization.null_model import NullModel
@@ -256,11 +256,11 @@ class Belief:
     def _standing(self) -> str:
         return f"{self._config.stands * self._known.length:.3g} m"
 
-    def hypotheses(self) -> list[Hypothesis]:
+    def hypotheses(self) -> list[PoseHypothesis]:
         """Hypotheses at the last bin, most likely first."""
         T_map_model = RigidTransform.from_matrix(self._known.frame.T_map_model)
         found = zip(self._found.poses, self._found.probabilities, strict=True)
-        return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
+        return [PoseHypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 
     def _why(self) -> str:
         """Why the place is not known."""

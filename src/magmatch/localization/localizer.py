@@ -10,7 +10,7 @@ from magmatch.arguments import expect_kind, expect_transform
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Hypothesis, LocalizerStatus, PoseEstimate
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.samples import Samples
@@ -95,7 +95,7 @@ class Localizer:
         """Give the probability of each likely map, by name; what is left to 1 is that the body is in none of them."""
         return self._maps.probabilities()
 
-    def hypotheses(self) -> list[Hypothesis]:
+    def hypotheses(self) -> list[PoseHypothesis]:
         """List the competing hypotheses as of the last bin of the path, most likely first."""
         found = [one for belief in self._maps.likely.values() for one in belief.hypotheses()]
         return sorted(found, key=lambda one: -one.probability)
