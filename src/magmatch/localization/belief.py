@@ -12,7 +12,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, Window, follow
-from magmatch.localization.null_model import NullModel
+from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import (
@@ -63,7 +63,7 @@ class Belief:
         self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
-        self._null = NullModel(known, self._model, config)
+        self._null = UnrelatedFields(known, self._model, config)
         self._window, self._bank = Window.of(len(self._null)), hypotheses(0)
         self._weighed: list[Weighed] = []
         self._found, self._words = NOTHING, ""
