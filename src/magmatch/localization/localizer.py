@@ -13,7 +13,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
-from magmatch.localization.samples import Samples
+from magmatch.localization.samples import LastSample
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
@@ -39,7 +39,7 @@ class Localizer:
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
             self._maps = LikelyMaps(known, config)
-        self._samples = Samples()
+        self._samples = LastSample()
         self._binning = Binning(self._maps.bin_length)
 
     def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
