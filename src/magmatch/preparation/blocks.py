@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from magmatch.preparation.least_squares import ParameterBlock
-from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASIS, SensorModel
+from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASIS, SensorCorrection
 from magmatch.typing import Scalars, Tensors, Vectors
 
 CHANNEL = "channel "
@@ -36,7 +36,7 @@ def channel_blocks(R: Tensors, channels: Mapping[str, Scalars], size: float) -> 
     return blocks
 
 
-def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]) -> SensorModel:
+def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]) -> SensorCorrection:
     """Sensor model of the estimated unknowns; what was not estimated is taken to be perfect."""
     matrix, shift = np.eye(3), np.zeros(3)
     for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
@@ -50,4 +50,4 @@ def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]
             currents[name] = estimate[CHANNEL + name] / values.std()
             shift = shift - currents[name] * values.mean()
     offset = float(estimate["time_offset"][0]) if "time_offset" in estimate else 0.0
-    return SensorModel(matrix, shift, offset, currents)
+    return SensorCorrection(matrix, shift, offset, currents)

@@ -10,7 +10,7 @@ from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.typing import Scalars
 
 AXES = ("x", "y", "z")
@@ -47,7 +47,7 @@ def calibration_steps(
     return steps
 
 
-def known_sensor_step(sensor: SensorModel | None) -> StepReport:
+def known_sensor_step(sensor: SensorCorrection | None) -> StepReport:
     """Report of a correction that was known before."""
     if sensor is None:
         return StepReport("known sensor", "off", "")
