@@ -22,7 +22,7 @@ NONE = (np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class TrustedSpan:
     """Rows ``first`` to ``last`` (inclusive), in the direction of travel: one place, trusted throughout."""
 
     first: int
@@ -35,14 +35,14 @@ class Stretch:
         return slice(self.first, self.last + 1)
 
 
-def stretches(estimates: Sequence[PoseEstimate]) -> list[Stretch]:
+def stretches(estimates: Sequence[PoseEstimate]) -> list[TrustedSpan]:
     """Stretches in which poses are stated; a pose that only became too uncertain contradicts nothing."""
     found, first, last = [], -1, len(estimates) - 1
     for n, e in enumerate(estimates):
         if e.is_stated and first < 0:
             first = n
         if first >= 0 and (n == last or not estimates[n + 1].is_stated or estimates[n + 1].map != e.map):
-            found.append(Stretch(first, n, n < last and not estimates[n + 1].is_place_known))
+            found.append(TrustedSpan(first, n, n < last and not estimates[n + 1].is_place_known))
             first = -1
     return found
 
