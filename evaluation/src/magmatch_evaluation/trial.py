@@ -19,7 +19,7 @@ from magmatch.registration.result import RegistrationResult
 from magmatch_evaluation.cost import Cost, MapShelf, measured
 from magmatch_evaluation.experiments import Experiment
 from magmatch_evaluation.held_out_field import HeldOut
-from magmatch_evaluation.methods import Method, Task
+from magmatch_evaluation.methods import Method, MethodInput
 from magmatch_evaluation.rows import AnyRow, Key, MapRow, Row
 from magmatch_evaluation.survey_pairs import Pair
 
@@ -50,7 +50,7 @@ def run_batch(batch: Batch) -> list[AnyRow]:
     made, shelf = batch.experiment.make(batch.seed, batch.recordings), MapShelf()
     subject: Any = made
     if isinstance(made, Pair):
-        subject = Task(made.base, made.target, batch.seed, made.rough_start(batch.seed), shelf.build)
+        subject = MethodInput(made.base, made.target, batch.seed, made.rough_start(batch.seed), shelf.build)
     rows: list[AnyRow] = []
     for method, key in zip(batch.methods, batch.row_keys(), strict=True):
         log.info("%s, seed %d: %s", batch.experiment.name, batch.seed, method.name)
