@@ -84,7 +84,7 @@ class OnePlace:
 
 
 @dataclass(frozen=True, slots=True)
-class Turned:
+class TurnedPairs:
     """Pairs whose target's axes are turned by a known angle about one of the base's, its origin half a metre away."""
 
     make: Simulated | OnePlace
