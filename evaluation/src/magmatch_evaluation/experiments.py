@@ -16,8 +16,8 @@ from magmatch_evaluation.survey_pairs import (
     Halves,
     Interleaved,
     OnePlace,
-    Pair,
     Simulated,
+    SurveyPair,
     TurnedPairs,
     TwoRecordings,
 )
@@ -45,7 +45,7 @@ class Experiment:
     title: str  # what is asked, in a few words
     group: str  # table or curve it belongs to
     # ``make(seed, recordings)``; its ``repr`` says all that what it makes depends on besides those
-    make: Callable[[int, Path | None], Pair | HeldOut]
+    make: Callable[[int, Path | None], SurveyPair | HeldOut]
     n_seeds: int  # trials of the full run
     methods: tuple[str, ...]  # names of the methods that are asked
     tolerance: Tolerance = field(default_factory=Tolerance)
