@@ -17,7 +17,7 @@ from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import (
     Toll,
-    Weighed,
+    WeighedHypothesis,
     covariance_of,
     end_of_agreement,
     evidence,
@@ -41,7 +41,7 @@ NO_CHANCE = -14.0
 # guess, whose logarithm has a standard deviation of 1, as in slam. Three nodes of it are told apart by a walk.
 DRIFTS = (1.0, np.exp(-2.0), np.exp(2.0))
 DRIFT_ODDS = np.log(np.array([1.0, np.exp(-0.5), np.exp(-0.5)]) / (1 + 2 * np.exp(-0.5)))
-NOTHING: Posterior[Weighed] = Posterior((), (), 0.0, 1.0)
+NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 
 class Belief:
@@ -65,7 +65,7 @@ class Belief:
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = UnrelatedFields(known, self._model, config)
         self._window, self._bank = Window.of(len(self._null)), hypotheses(0)
-        self._weighed: list[Weighed] = []
+        self._weighed: list[WeighedHypothesis] = []
         self._found, self._words = NOTHING, ""
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
