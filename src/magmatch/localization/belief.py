@@ -11,7 +11,7 @@ from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.measurement import FIT, Window, follow
+from magmatch.localization.measurement import FIT, LatestBins, follow
 from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
@@ -64,7 +64,7 @@ class Belief:
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
         self._null = UnrelatedFields(known, self._model, config)
-        self._window, self._bank = Window.of(len(self._null)), hypotheses(0)
+        self._window, self._bank = LatestBins.of(len(self._null)), hypotheses(0)
         self._weighed: list[WeighedHypothesis] = []
         self._found, self._words = NOTHING, ""
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
