@@ -45,7 +45,7 @@ class FieldMap:
     ----------
     survey : Survey
         The samples the map was made from, map frame.
-    posterior : Posterior
+    posterior : FieldPosterior
         The fitted model, in its own frame (principal axes of the survey).
     T_map_model : RigidTransform
         Takes model coordinates to map coordinates.

@@ -20,7 +20,7 @@ from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 from magmatch.registration.decide.posterior import Posterior
 
 # What a state may consist of, and changes with.
-SCHEMA = "magmatch.localizer/5"
+SCHEMA = "magmatch.localizer/6"
 KINDS = (Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "_start"}

@@ -37,7 +37,7 @@ class Track:
     log : Survey
     maps : tuple of FieldMap
         The map; of an atlas, those in which a pose is stated.
-    estimates : sequence of Estimate
+    estimates : sequence of PoseEstimate
         One for each of the log's poses: with hindsight, or as it was known then.
     config : LocalizerConfig
     seconds : dict
