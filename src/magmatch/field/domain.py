@@ -63,17 +63,17 @@ class BoundedPosterior:
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """Of the inner model."""
+        """The hyperparameters of the inner model."""
         return self.inner.hyperparameters
 
     @property
     def weights(self) -> Scalars:
-        """Of the inner model."""
+        """The weights of the inner model."""
         return self.inner.weights
 
     @property
     def weights_by_tile(self) -> Mapping[Index, Scalars]:
-        """Of the inner model."""
+        """The weights of the inner model, by tile."""
         return self.inner.weights_by_tile
 
     def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:

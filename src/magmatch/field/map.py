@@ -337,7 +337,7 @@ class FieldMap:
         return loaded
 
     def _tiles(self) -> dict[Index, StoredTile]:
-        """What to store of the fit, so that it need not be done again."""
+        """Give what is stored of the fit, so that it need not be done again."""
         fitted = self._fitted()
         return tiles_to_store(self.posterior, fitted.positions, fitted.field)
 

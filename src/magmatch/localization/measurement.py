@@ -83,11 +83,11 @@ class LatestBins:
         self._end += 1
 
     def trimmed(self) -> "LatestBins":
-        """The same without room for more."""
+        """Give back the room for more."""
         return LatestBins(self.steps, self.fit, self.null, 0, len(self))
 
     def forget_first(self) -> None:
-        """Of all bins the oldest."""
+        """Forget the oldest of all bins."""
         self._first += 1
 
     def keep(self, rows: list[int]) -> None:

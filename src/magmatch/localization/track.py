@@ -60,7 +60,7 @@ class Track:
 
     @property
     def is_stated(self) -> Mask:
-        """Where a pose is stated, (n,)."""
+        """Whether a pose is stated, (n,)."""
         return np.array([e.is_stated for e in self.estimates], dtype=np.bool_)
 
     @property
@@ -108,7 +108,7 @@ class Track:
         return (self.poses[nth_stated[last[rows]]] * moves)[is_step], odometry.times[rows][is_step]
 
     def result(self) -> LocalizationResult:
-        """What was found, as a document."""
+        """Give the findings as a document."""
         times, is_stated, last = self.log.times, self.is_stated, self.estimates[-1]
         assert times is not None
         wrong = [] if is_stated.any() else diagnose(self.log)
