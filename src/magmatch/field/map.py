@@ -26,7 +26,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, StoredTile
+from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
@@ -45,7 +45,7 @@ class FieldMap:
     ----------
     survey : Survey
         The samples the map was made from, map frame.
-    posterior : Posterior
+    posterior : FieldPosterior
         The fitted model, in its own frame (principal axes of the survey).
     T_map_model : RigidTransform
         Takes model coordinates to map coordinates.
@@ -64,7 +64,7 @@ class FieldMap:
     """
 
     survey: Survey
-    posterior: Posterior
+    posterior: FieldPosterior
     T_map_model: RigidTransform
     config: FieldConfig
     T_domain_model: RigidTransform
@@ -278,7 +278,7 @@ class FieldMap:
         return replace(self, survey=merged, posterior=posterior, fitted_samples=fitted, parts=parts)
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one file (layout in ``docs/conventions.md``), whole or not at all.
+        """Write the map to one file (layout in ``docs/formats.md``), whole or not at all.
 
         Parameters
         ----------
@@ -337,7 +337,7 @@ class FieldMap:
         return loaded
 
     def _tiles(self) -> dict[Index, StoredTile]:
-        """What to store of the fit, so that it need not be done again."""
+        """Give what is stored of the fit, so that it need not be done again."""
         fitted = self._fitted()
         return tiles_to_store(self.posterior, fitted.positions, fitted.field)
 

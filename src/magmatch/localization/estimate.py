@@ -21,15 +21,15 @@ class LocalizerStatus(StrEnum):
 
 
 def phase(status: LocalizerStatus, *, is_place_known: bool) -> str:
-    """What a part of a log is called: that the place is known is one thing, how well the pose is known another."""
+    """Name a part of a log: that the place is known is one thing, how well the pose is known another."""
     if is_place_known and status in {LocalizerStatus.SEARCHING, LocalizerStatus.LOST}:
         return "place known, pose too uncertain"
     return status.replace("_", " ")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Hypothesis:
-    """Where the body may be: name of the map, ``T_map_body`` and how probable that is."""
+class PoseHypothesis:
+    """A pose that the body may have: name of the map, ``T_map_body`` and its probability."""
 
     map: str
     T_map_body: RigidTransform
@@ -37,8 +37,8 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Estimate:
-    """Where the body is.
+class PoseEstimate:
+    """The pose of the body, and how well it is known.
 
     Attributes
     ----------

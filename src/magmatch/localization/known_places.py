@@ -42,7 +42,7 @@ class KnownPlaces:
 
     @property
     def entries(self) -> Sequence[AtlasEntry | None]:
-        """Of an atlas; None for a single map."""
+        """The entries of an atlas; None for a single map."""
         return self.place.entries if isinstance(self.place, Atlas) else (None,)
 
     def fingerprint(self, entry: AtlasEntry | None) -> str:

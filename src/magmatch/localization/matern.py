@@ -15,7 +15,7 @@ def transition(v):  # type: ignore[no-untyped-def]
 
 @inlined
 def transition_of(is_smooth, x):  # type: ignore[no-untyped-def]
-    """The same after so many lengthscales; of an Ornstein-Uhlenbeck process, which has no slope, if it is rough."""
+    """Give the transition over so many lengthscales; a rough one is Ornstein-Uhlenbeck, without slope."""
     if is_smooth:
         return transition(np.sqrt(3.0) * x)
     return np.exp(-x), 0.0, 0.0, 0.0

@@ -20,7 +20,7 @@ LEAST_TOLD = 0.001
 
 
 class LocalizationStatus(StrEnum):
-    """What is known at the end of the log."""
+    """The state of knowledge at the end of the log."""
 
     LOCALIZED = "localized"  # its last pose is stated
     LOST = "lost"  # some poses are stated, the last is not

@@ -37,14 +37,14 @@ def _none() -> np.ndarray:
 
 
 @dataclass(eq=False, slots=True)
-class Samples:
+class LastSample:
     """The last sample, (1,) of SAMPLE."""
 
     last: np.ndarray = field(default_factory=_none)
 
     @property
     def T_odom_body(self) -> Matrix:
-        """Where the body was then, in an odometry's frame without jumps."""
+        """The pose of the body at that time, in an odometry's frame without jumps."""
         T: Matrix = self.last["T"][0]
         return T
 

@@ -87,7 +87,7 @@ def hypotheses(n: int) -> np.ndarray:
 
 
 def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConfig) -> Matrix:
-    """Of poses from a search, known to sd (m, rad); the bias is left at 0."""
+    """Give the covariance of poses from a search, known to sd (m, rad); the bias is left at 0."""
     vertical = np.outer(up, up)
     level = np.eye(3) - vertical
     tilt = UPRIGHT_SD if config.is_gravity_aligned else sd[1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The same picture by Foxglove's protocol, on this machine only: transforms, ellipses, hypotheses and the maps."""
+"""Foxglove's protocol shows the same picture, on this machine only: transforms, ellipses, hypotheses and the maps."""
 
 import time
 from importlib import import_module
@@ -33,7 +33,7 @@ class FoxgloveFeed:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port on which it listens."""
         return int(self._server.port)
 
     def show(self, bodies: list[dict[str, Any]]) -> None:

@@ -19,5 +19,5 @@ def is_key(text: str) -> bool:
 
 
 def id_of(key: str) -> str:
-    """What a client is called in files and pictures; its key does not follow from it."""
+    """Name a client in files and pictures; its key does not follow from it."""
     return hashlib.sha256(key.encode()).hexdigest()[:24]

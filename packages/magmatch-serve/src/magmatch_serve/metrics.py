@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the service counts, in the text form of Prometheus."""
+"""The service counts, and says so in the text form of Prometheus."""
 
 from typing import Any
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the service answers, as an OpenAPI document and as a page that needs nothing from elsewhere."""
+"""The service describes its answers, as an OpenAPI document and as a page that needs nothing from elsewhere."""
 
 from functools import cache
 from html import escape

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What cannot be done: a status code of HTTP and one sentence. A WebSocket is closed with 4000 more."""
+"""A refusal is a status code of HTTP and one sentence. A WebSocket is closed with 4000 more."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -39,7 +39,7 @@ def or_raised(found: Any) -> Any:
 
 
 def without_paths(words: str, names: Mapping[Path, str]) -> str:
-    """What is said of files on one line, by names instead of their paths, whether these are absolute or not."""
+    """Say on one line what is said of files, by names instead of their paths, whether these are absolute or not."""
     words = " ".join(words.split())
     for path, name in names.items():
         for form in {str(path), str(path.resolve())} - {".", "/"}:

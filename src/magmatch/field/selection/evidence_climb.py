@@ -135,7 +135,7 @@ def _better(search: EvidenceSearch, h: Hyperparameters, best: NoiseOptimum, leas
 
 
 def _times(name: str, factor: float, h: Hyperparameters) -> Hyperparameters | None:
-    """The same with one number multiplied by a factor, where that is allowed."""
+    """Multiply one hyperparameter by a factor, where that is allowed."""
     other: Hyperparameters = replace(h, **{name: rounded(getattr(h, name) * factor)})
     return other if is_allowed(other) else None
 

@@ -86,7 +86,7 @@ class EvidenceSearch:
             return -np.inf
 
     def log_evidence_of_noise(self, h: Hyperparameters) -> float:
-        """The same up to a number that only depends on spacing, reach, lengthscale and divergence_weight."""
+        """Give it up to a number that only depends on spacing, reach, lengthscale and divergence_weight."""
         try:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
@@ -149,7 +149,7 @@ class EvidenceSearch:
         return SplineModel(h, *self._bases[key])
 
     def _observed(self, h: Hyperparameters) -> SplineInformation:
-        """What the samples say about splines of one spacing and reach, said once."""
+        """Collect the samples' information on splines of one spacing and reach, once."""
         key = (h.spacing, h.reach)
         if key not in self._data:
             self._data[key] = self._model(h).observe(self.points, self.field)
@@ -191,7 +191,7 @@ class EvidenceSearch:
         return self._shapes[key]
 
     def _log_determinant(self, h: Hyperparameters) -> float:
-        """Of the prior's shape, factorised once."""
+        """Factorise the prior's shape once for its log-determinant."""
         key = _shape_of(h)
         if key not in self._log_determinants:
             factor = factorise(self._model(h).elimination, self._shape(h), self.precision)

@@ -220,7 +220,7 @@ def most_likely(guess: PathNoise, stretches: list[Stretch], known: Collection[st
 
 
 def likelier_of_kinds(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
-    """The same, with a misfit that is rough or smooth: whichever makes the residuals likelier."""
+    """Choose a misfit that is rough or smooth: whichever makes the residuals likelier."""
     found = [_maximise(replace(guess, is_smooth=is_smooth), stretches) for is_smooth in (False, True)]
     return min(found, key=lambda one: one[1])[0]
 

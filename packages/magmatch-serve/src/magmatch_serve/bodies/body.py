@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.kept_state import KINDS, restored, state_of
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
@@ -20,7 +20,7 @@ from magmatch_serve.refusals import RefusedError
 MAX_TRAIL, TRAIL_STEP = 200, 0.1
 MAX_HYPOTHESES = 8
 SCHEMA = "magmatch.client/1"
-NOTHING = Estimate(LocalizerStatus.SEARCHING, "no sample has come yet")
+NOTHING = PoseEstimate(LocalizerStatus.SEARCHING, "no sample has come yet")
 
 
 @dataclass(eq=False, slots=True)
@@ -35,14 +35,14 @@ class Body:
     is_binary: bool = False
     n: int = 0  # samples taken
     t: float | None = None
-    now: Estimate = NOTHING
+    now: PoseEstimate = NOTHING
     is_kept: bool = True  # whether its last state is on the disk
     left_at: float | None = None  # s: when its client left
     trail: deque[tuple[float, float, str]] = field(default_factory=lambda: deque(maxlen=MAX_TRAIL))
 
     @classmethod
     def resumed(cls, known: KnownPlaces, config: LocalizerConfig, state: bytes) -> "Body | None":
-        """Of which a state was kept; None where that is of other maps, settings or another version."""
+        """Continue from a kept state; None where that is of other maps, settings or another version."""
         try:
             about = loads(state, SCHEMA, KINDS)
             localizer = restored(known, config, about["localizer"])
@@ -84,7 +84,7 @@ class Body:
             self.trail.append((x, y, self.now.map or ""))
 
     def picture(self, client: str, *, with_trail: bool) -> dict[str, Any]:
-        """What the page draws of it, in the map's frame, seen from above."""
+        """Give what the page draws of it, in the map's frame, seen from above."""
         now = self.now
         said: dict[str, Any] = {
             "client": client[:8], "name": self.name, "is_here": self.left_at is None, "status": now.status.value,

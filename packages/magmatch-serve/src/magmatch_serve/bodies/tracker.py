@@ -37,7 +37,7 @@ SEARCH_WITHIN = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """What a client is told when it comes."""
+    """The words that a client is told when it comes."""
 
     is_resumed: bool
     n: int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What reading a stranger's log may take of this machine, held by its operating system: memory, disk and time.
+"""Reading a stranger's log takes bounded memory, disk and time of this machine, held by its operating system.
 
 Readers trust what a file says of its sizes. A file that lies costs the process that reads it, which another replaces.
 """

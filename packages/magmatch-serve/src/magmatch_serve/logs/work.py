@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a worker process does with a whole log: read it, localize or register it, say the result."""
+"""A worker process reads a whole log, localizes or registers it, and says the result."""
 
 import logging
 import multiprocessing
@@ -55,7 +55,7 @@ class LogQuestion(BaseModel):
 
 
 class WhereOfLog(LogQuestion):
-    """What is asked of a log that is localized."""
+    """The questions about a log that is localized."""
 
     live: bool = Field(default=False, description="As it was known live, instead of with hindsight.")
     planar: bool = Field(default=False, description="All poses lie on one floor.")
@@ -63,7 +63,7 @@ class WhereOfLog(LogQuestion):
 
 
 class PoseOfLog(LogQuestion):
-    """What is asked of a log that is registered."""
+    """The questions about a log that is registered."""
 
     gravity_aligned: bool = Field(default=False, description="z points up in the log and in the map.")
     planar: bool = Field(default=False, description="As gravity_aligned, with a common height.")
