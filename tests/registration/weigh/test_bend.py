@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial.transform import RigidTransform
 
-from hand_made import Polynomial, prepared_map, some_field
+from hand_made import Polynomial, WeighedPose, prepared_map, some_field
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.path_noise import PathNoise
@@ -20,7 +20,7 @@ from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.bend import Bend, bend_of_map, bend_of_walk
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 
 NOISE = PathNoise(0.2e-6, 0.8, 0.1e-6, 0.1e-6, 1.0, 0.8, 0.005, 0.005, 3.0, spread=0.4, n_stretches=9)
 # Turns and comes back, so that each half fixes its pose.
@@ -182,19 +182,12 @@ def test_the_evidence_of_a_bend_of_any_size_is_its_integral(c):
     kept, _ = quad(lambda u: 0.5 * (1 - u) * u**2.5 * np.exp(-c * u), 0, 1, epsabs=0)
     assert bend.log_ratio == pytest.approx(c + np.log(mass), rel=1e-6)
     assert bend.share == pytest.approx(kept / mass, rel=1e-6)
-    assert bend.log_density == pytest.approx(np.log(mass) - 3 * np.log(2 * np.pi), rel=1e-6)
 
 
-def test_a_walk_that_bends_has_the_evidence_of_its_halves(place):
-    """Halves fit as well as they do without a bend; a rigid pose does not."""
-    base, T = place
-    whole, halves = [], []
-    for degrees in (0.0, 3.0):
-        walk = bent(walk_through(base, T), [0, 0, np.radians(degrees), 0, 0, 0], PATH.mean(axis=0))
-        (pose,) = weigh_walk(base, walk, [T], NOISE, 0.8, PosePrior(100.0), LineConfig())
-        rigid, bending = found(base, walk, T).among(pose)
-        assert rigid is pose
-        whole.append(rigid.log_evidence)
-        halves.append(bending.log_evidence)
-    assert whole[1] < whole[0] - 20
-    assert abs(halves[1] - halves[0]) < (whole[0] - whole[1]) / 3
+@given(c=st.floats(0.01, 200), e=st.floats(1, 500))
+def test_rigid_and_bent_share_the_evidence_for_the_place(c, e):
+    bend = Bend(np.sqrt(2 * c / 6) * np.ones(6), np.zeros(3), np.eye(6), 1.0)
+    rigid, bent = bend.among(WeighedPose(log_evidence=e))
+    assert np.logaddexp(rigid.log_evidence, bent.log_evidence) == pytest.approx(e)
+    assert bent.log_evidence - rigid.log_evidence == pytest.approx(bend.log_ratio)
+    assert rigid.model != bent.model

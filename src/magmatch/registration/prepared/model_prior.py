@@ -17,9 +17,6 @@ SENSORS_DIFFER = -15.0
 # A walk bends at one of these rates, m per square root of a metre, equally likely: of wheels, of cameras, and of a
 # phone's dead reckoning.
 RATES = (0.02, 0.05, 0.1, 0.2)
-# Beyond what the base's own stretches show, one walk in twenty bends. Without this, halves fit each other's errors
-# better than chance: 2 of 1,800 walks were accepted in a base from which their surroundings had been cut.
-BENDS = -3.0
 EACH_RATE = -float(np.log(len(RATES)))
 
 

@@ -11,7 +11,6 @@ from scipy.special import expit, gammainc, gammaln
 
 from magmatch.field.folds import has_path_order
 from magmatch.geometry import adjoint, path_walked, rotation_matrix
-from magmatch.registration.prepared.model_prior import BENDS
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
@@ -41,8 +40,6 @@ class Bend:
     # Root mean square distance along the path, of all the walk from the middle of the covered part, in the distance
     # between the halves' middles
     reach: float
-    # Evidence and attainable evidence (nats), and misfit, of both halves at their own poses; None if not weighed
-    halves: tuple[float, float, float] | None = None
 
     @property
     def half_chi2(self) -> float:
@@ -71,33 +68,22 @@ class Bend:
         c, a = max(self.half_chi2, EPS), len(self.xi) / 2 + 0.5
         return float(1 - a / c * gammainc(a + 1, c) / gammainc(a, c))
 
-    @property
-    def log_density(self) -> float:
-        """Log density of the difference, if the walk bends."""
-        spread = float(np.linalg.slogdet(2 * np.pi * self.covariance)[1])
-        return self.log_ratio - self.half_chi2 - spread / 2
-
     def among(self, pose: W) -> tuple[W, W]:
         """The hypotheses that take a rigid pose's place: rigid, and of a target that bends.
 
-        Halves that were weighed have evidence of their own. Where they were not, that for the place remains the
-        rigid pose's: halves of a wrong one differ, too.
+        Both share the evidence for the place: halves of a wrong pose differ, too.
         """
-        bent = replace(pose, model=f"{pose.model}, bends")
-        if self.halves is not None:
-            log_evidence, attainable, misfit = self.halves
-            return pose, replace(bent, log_evidence=log_evidence, attainable=attainable, misfit=misfit)
         both = float(np.logaddexp(0, self.log_ratio))
         rigid, bent = (
-            replace(one, log_evidence=one.log_evidence + more, attainable=one.attainable + more)
-            for one, more in ((pose, -both), (bent, self.log_ratio - both))
+            replace(pose, model=model, log_evidence=pose.log_evidence + more, attainable=pose.attainable + more)
+            for model, more in ((pose.model, -both), (f"{pose.model}, bends", self.log_ratio - both))
         )
         return rigid, bent
 
     def seen_from(self, T_survey_walk: RigidTransform) -> "Bend":
         """The same in the survey's axes."""
         R = np.kron(np.eye(2), rotation_matrix(T_survey_walk))
-        return Bend(R @ self.xi, T_survey_walk.apply(self.center), R @ self.covariance @ R.T, self.reach, self.halves)
+        return Bend(R @ self.xi, T_survey_walk.apply(self.center), R @ self.covariance @ R.T, self.reach)
 
     def spread(self, center: Vector3) -> Covariance6:
         """Mean square error of a pose about a point, over the walk, if all of it drifts at this rate.
@@ -153,21 +139,12 @@ def bend_of_walk(
 ) -> Bend | None:
     """Refine the halves of the covered part from the pose of the whole; None if either has too few bins."""
     is_covered = base.raster.lookup(T_base_walk.apply(walk.positions))[3]
-    found = [
-        (rows, best)
+    halves = [
+        Half(rows, best.T_base_target, best.center, best.covariance)
         for rows in np.array_split(np.flatnonzero(is_covered), 2)
         for best in weigh_walk(base, walk.part(rows), [T_base_walk], noise, length, prior, config)[:1]
     ]
-    halves = [Half(rows, best.T_base_target, best.center, best.covariance) for rows, best in found]
-    bend = bend_between(T_base_walk, walk.positions, is_covered, halves)
-    if bend is None:
-        return None
-    second = found[1][1]
-    # The second half's pose is not anywhere, but where the first half's is, but for the bend.
-    nearer = bend.log_density - prior.log_density(second.T_base_target, second.center)
-    nearer += BENDS + float(config.log_weight(walk.length / length, is_covered.mean()))
-    log_evidence, attainable, power = np.sum([[w.log_evidence, w.attainable, w.misfit**2] for _, w in found], axis=0)
-    return replace(bend, halves=(log_evidence + nearer, attainable + nearer, float(np.sqrt(power / 2))))
+    return bend_between(T_base_walk, walk.positions, is_covered, halves)
 
 
 def bend_of_map(
