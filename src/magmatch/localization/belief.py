@@ -123,7 +123,7 @@ class Belief:
     def doubt(self) -> None:
         """Trust no hypothesis; from now on, evidence counts only from where the contradiction began."""
         window, recent = self._window, len(self._trail)
-        # Of a body outside the map nothing was forgotten.
+        # Nothing was forgotten of a body outside the map.
         self._bank["earlier"] = np.minimum(self._bank["earlier"], self._most_earlier)
         last = max(len(window) - recent, 0)
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)

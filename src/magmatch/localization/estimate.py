@@ -44,7 +44,7 @@ class PoseEstimate:
     ----------
     status : LocalizerStatus
     reason : str
-        In words, why.
+        The reason of the status, in words.
     matrix : (4, 4) array or None
         Of ``T_map_body``, the map's frame from the body's; None unless localized or dead reckoning.
     covariance : (6, 6) array or None

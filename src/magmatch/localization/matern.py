@@ -8,7 +8,7 @@ from magmatch.compiled import inlined
 
 @inlined
 def transition(v):  # type: ignore[no-untyped-def]
-    """By how much value and slope depend on both a path of rate times length v before: f00, f01, f10, f11."""
+    """Give how value and slope depend on both a path of rate times length v before: f00, f01, f10, f11."""
     e = np.exp(-v)
     return e * (1 + v), e * v, -e * v, e * (1 - v)
 

@@ -80,7 +80,7 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
 
 
 def hypotheses(n: int) -> np.ndarray:
-    """A bank of n, all at the model's origin."""
+    """Make a bank of n, all at the model's origin."""
     bank = np.zeros(n, HYPOTHESIS)
     bank["R"], bank["P"], bank["drift"] = np.eye(3), np.eye(N), 1.0
     return bank

@@ -14,7 +14,7 @@ from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
 
-# What is said of a hypothesis: the fields of an `Estimate`; T is T_map_body.
+# The statement of a hypothesis: the fields of a `PoseEstimate`; T is T_map_body.
 STATED = np.dtype(
     [
         ("T", "f8", (4, 4)), ("covariance", "f8", (6, 6)), ("bias", "f8", 3), ("bias_sd", "f8", 3),
@@ -202,14 +202,14 @@ def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
 
 
 def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
-    """Of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes; how the map's own poses may be off is part of it."""
+    """Give the covariance of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes, the map's own poses' included."""
     C = np.empty((6, 6))
     _covariance(one, known.frame.bent, _factor(known, factor), C)
     return C
 
 
 def _factor(known: KnownMap, factor: float) -> float:
-    """Of a pose's covariance, from that of the readings: its root, as odometry's noise is not scaled with them."""
+    """Give a pose's factor from that of the readings: its root, as odometry's noise is not scaled with them."""
     return float(np.sqrt(max(factor, 0.0 if known.noise.is_learned else 1.0)))
 
 
@@ -231,7 +231,7 @@ def _covariance(bank, bent, factor, C):  # type: ignore[no-untyped-def]
 def stated(
     one: np.ndarray, last: np.ndarray, T_odom_body: Matrix, known: KnownMap, model: Model, factor: float
 ) -> np.ndarray:
-    """What is said of a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
+    """State a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
     said = np.zeros(1, STATED)
     _state(one, last, T_odom_body, known.frame, _factor(known, factor), model, said)
     return said

@@ -16,7 +16,7 @@ class Wire(WebSocketsSansIOProtocol):
     """Reads little at a time; asyncio's transports would read 256 KiB, thousands of samples."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin."""
+        """Begin to read, little at a time."""
         transport.max_size = MAX_READ  # type: ignore[attr-defined]
         super().connection_made(transport)
 

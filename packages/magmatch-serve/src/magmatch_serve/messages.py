@@ -45,7 +45,7 @@ class Sample(_Message):
 
 
 class Samples(_Message):
-    """Several, oldest first; one answer."""
+    """Several samples, oldest first, with one answer."""
 
     samples: Annotated[list[Sample], Field(min_length=1)]
 

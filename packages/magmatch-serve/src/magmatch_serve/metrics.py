@@ -32,5 +32,5 @@ class Metrics:
         self.renewals = Counter("magmatch_map_renewals", "Times that maps were loaded again", **own)
 
     def text(self) -> bytes:
-        """All of them."""
+        """Write all counters."""
         return generate_latest(self.registry)

@@ -38,7 +38,7 @@ LIVE = (
 
 @cache
 def openapi() -> dict[str, Any]:
-    """The document."""
+    """Write the document."""
     document: dict[str, Any] = {
         "openapi": "3.1.0",
         "info": {"title": "magmatch", "version": __version__, "description": "Where bodies are in a magnetic map."},
@@ -116,7 +116,7 @@ def _json(schema: str) -> dict[str, Any]:
 
 @cache
 def openapi_page() -> str:
-    """The document for people."""
+    """Write the document for people."""
     document = openapi()
     parts = []
     for path, methods in document["paths"].items():

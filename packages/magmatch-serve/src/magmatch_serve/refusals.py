@@ -21,12 +21,12 @@ class RefusedError(Exception):
 
     @property
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """Describe it as JSON."""
         return {"type": "error", "status": self.status, "message": self.message}
 
     @property
     def headers(self) -> dict[str, str]:
-        """When to come again, and how to say who one is."""
+        """Headers that say when to come again, and how to say who one is."""
         found = {} if self.retry_after is None else {"Retry-After": str(max(1, round(self.retry_after)))}
         return found | ({"WWW-Authenticate": "Bearer"} if self.status == 401 else {})
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log sent through the live door as if it were walked now, and what came back."""
+"""A log is sent through the live door as if it were walked now, and the answers are collected."""
 
 import json
 from collections.abc import Callable

@@ -68,7 +68,7 @@ def _start(points: Points, field: Vectors, length: float, layout: SplineLayout) 
 
 
 def _without_evidence(points: Points, field: Vectors, length: float, floor: float) -> Hyperparameters:
-    """If the evidence cannot be computed: a broad prior about the measured field."""
+    """Give a broad prior about the measured field, if the evidence cannot be computed."""
     length = length or LONELY_LENGTHSCALE
     signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
     spacing = length / LENGTHSCALE_IN_SPACINGS

@@ -48,7 +48,7 @@ def bending_of(positions: Points) -> Bending:
 
 
 def _rigid_motions(positions: Points) -> Matrix:
-    """What a turn about the path's centre and a shift do to turns and shifts of its points: (6 n, 6)."""
+    """Give the effect of a turn about the path's centre and a shift on turns and shifts of its points: (6 n, 6)."""
     lever = -skew(positions - positions.mean(axis=0))
     eye = np.broadcast_to(np.eye(3), lever.shape)
     rows = np.concatenate([np.concatenate([eye, 0 * eye], axis=2), np.concatenate([lever, eye], axis=2)], axis=1)

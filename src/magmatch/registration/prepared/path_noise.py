@@ -26,7 +26,7 @@ from magmatch.registration.prepared.prepared_map import N_DRAWS
 from magmatch.registration.prepared.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
-# Of the base's path: length of a held-out stretch in correlation lengths; each held-out set takes a refit.
+# Length of a held-out stretch of the base's path in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
 # Prior spread (natural log) of the parameters about their guesses, and of one walk's covariance about another's; and
 # the number of stretches that the guess of the latter counts as.

@@ -234,7 +234,7 @@ class PosePrior:
 
 
 def _room() -> tuple[np.ndarray, Matrix]:
-    """For how a pose is off another: turn and shift, and the turn as a matrix."""
+    """Make room for a pose's offset from another: turn and shift, and the turn as a matrix."""
     return np.empty(6), np.empty((3, 3))
 
 

@@ -97,7 +97,7 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     Raises
     ------
     DataFormatError
-        It is none; says line and column.
+        The file is no such table; the message says line and column.
     """
     rows = rows_of(path, text_lines(path))
     if len(rows.at) < 2:

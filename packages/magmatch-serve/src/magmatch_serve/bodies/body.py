@@ -29,7 +29,7 @@ class Body:
 
     known: KnownPlaces
     config: LocalizerConfig
-    # Made for the first sample: who only connects costs nothing.
+    # The localizer is made for the first sample: a client that only connects costs nothing.
     localizer: Localizer | None = None
     name: str = ""
     is_binary: bool = False
@@ -51,7 +51,7 @@ class Body:
         return cls(known, config, localizer, about["name"], n=about["n"], t=about["t"], now=localizer.estimate())
 
     def state(self) -> bytes:
-        """All of it that a restart shall not lose."""
+        """Give all that a restart shall not lose."""
         assert self.localizer is not None
         about = {"name": self.name, "n": self.n, "t": self.t, "localizer": state_of(self.localizer)}
         return dumps(SCHEMA, about)

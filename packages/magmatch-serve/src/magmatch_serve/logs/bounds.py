@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-# How much of the address space a process holds, in pages; only Linux tells, and only it bounds that.
+# Address space that a process holds, in pages; only Linux tells, and only it bounds that.
 HELD = Path("/proc/self/statm")
 
 
