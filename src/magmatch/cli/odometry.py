@@ -39,7 +39,7 @@ def odometry(
     from magmatch.cli.option_values import refuse
     from magmatch.data.formats.phones.read import read_phone_log
     from magmatch.data.formats.sniff import sniff
-    from magmatch.preparation.odometry.config import OdometryConfig
+    from magmatch.preparation.odometry.config import DeadReckoningConfig
     from magmatch.preparation.odometry.dead_reckon import dead_reckon
 
     check_outputs((out,), inputs=(log,))
@@ -48,7 +48,7 @@ def odometry(
     if (kind := sniff(log)) != "phone":
         words = f"is a {kind} file, expected a phone's log (phyphox, Sensor Logger, GetSensorData, XYZ10, Android)"
         raise DataFormatError(log, words)
-    config = OdometryConfig()
+    config = DeadReckoningConfig()
     config = config.model_copy(update={"weinberg_factor": step_scale * config.weinberg_factor})
     walk = dead_reckon(
         read_phone_log(log, ("acceleration", "linear_acceleration", "gravity", "rate"), recover=recover), config

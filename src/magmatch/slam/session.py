@@ -22,12 +22,13 @@ from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
 from magmatch.slam.begin import settled
-from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end

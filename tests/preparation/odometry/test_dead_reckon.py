@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
 from magmatch.errors import DataFormatError, MissingExtraError
-from magmatch.preparation.odometry.config import OdometryConfig
+from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.preparation.odometry.dead_reckon import dead_reckon
 from magmatch.preparation.odometry.steps import find_steps
 
@@ -43,7 +43,7 @@ def walk(turns=SQUARE, *, pitch_deg=50.0, stand=5.0, bias=(0.0, 0.0, 0.0), rate=
 
 def length_of(seconds, config=None):
     """What Weinberg's rule makes of the steps in some time; the low-pass takes a part of the swing."""
-    config = config or OdometryConfig()
+    config = config or DeadReckoningConfig()
     kept = 1 / (1 + (np.tan(np.pi * STEP_RATE / RATE) / np.tan(np.pi * config.step_frequency / RATE)) ** 4)
     return seconds * STEP_RATE * config.weinberg_factor * (2 * SWING * kept) ** 0.25
 
@@ -97,7 +97,7 @@ def test_standing_adds_nothing_to_the_path():
 
 def test_steps_grow_with_the_fourth_root_of_the_swing():
     t = np.arange(0, 20, 1 / RATE)
-    config = OdometryConfig()
+    config = DeadReckoningConfig()
     small, large = (
         find_steps(G + a * np.sin(2 * np.pi * STEP_RATE * t), config).lengths[5:-5].mean() for a in (2.0, 6.0)
     )
@@ -106,7 +106,7 @@ def test_steps_grow_with_the_fourth_root_of_the_swing():
 
 def test_speed_of_steps_adds_up_to_their_lengths():
     t = np.arange(0, 20, 1 / RATE)
-    steps = find_steps(3 * np.sin(2 * np.pi * STEP_RATE * t) * (np.abs(t - 10) > 3), OdometryConfig())
+    steps = find_steps(3 * np.sin(2 * np.pi * STEP_RATE * t) * (np.abs(t - 10) > 3), DeadReckoningConfig())
     speed = steps.speed(len(t), RATE)
     assert (speed >= 0).all()
     assert speed.sum() / RATE == pytest.approx(steps.lengths.sum(), rel=1e-9)

@@ -5,11 +5,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import import_extra
-from magmatch.preparation.odometry.config import OdometryConfig
+from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.typing import Vectors
 
 
-def attitude(rate: Vectors, acceleration: Vectors, config: OdometryConfig) -> Rotation:
+def attitude(rate: Vectors, acceleration: Vectors, config: DeadReckoningConfig) -> Rotation:
     """Smoothed orientations of the phone at even times, to a frame whose z is up.
 
     From the gyroscope (rad/s) and the accelerometer (m/s^2, gravity included), phone's axes, ``config.rate`` times a

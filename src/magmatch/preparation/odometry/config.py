@@ -6,7 +6,7 @@ from pydantic import Field
 from magmatch.settings import Settings
 
 
-class OdometryConfig(Settings):
+class DeadReckoningConfig(Settings):
     """Settings of `magmatch.preparation.odometry.dead_reckon.dead_reckon`."""
 
     # Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.

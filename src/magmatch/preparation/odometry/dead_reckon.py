@@ -12,7 +12,7 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.number_text import many
 from magmatch.preparation.odometry.attitude import attitude
-from magmatch.preparation.odometry.config import OdometryConfig
+from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.preparation.odometry.steps import Steps, find_steps
 from magmatch.typing import Indices, Scalars, Vectors
 
@@ -47,7 +47,7 @@ class Odometry:
         return float(self.steps.lengths.sum())
 
 
-def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odometry:
+def dead_reckon(phone: PhoneLog, config: DeadReckoningConfig | None = None) -> Odometry:
     """Path of a walk whose phone was held in front, from its accelerometer and gyroscope alone.
 
     Raises
@@ -61,7 +61,7 @@ def dead_reckon(phone: PhoneLog, config: OdometryConfig | None = None) -> Odomet
     and walking direction rotates the whole path; a changing angle bends it. Of a gap in which more than a step fits
     nothing is known: the path has no poses there, and goes on behind it as if the walker had stood still.
     """
-    config = config or OdometryConfig()
+    config = config or DeadReckoningConfig()
     acceleration, rate = phone.acceleration(WHAT_FOR), phone.require("rate", WHAT_FOR)
     times, stop = _even_times(phone, (acceleration, rate), config)
     felt, turning = acceleration.at(times), rate.at(times)
@@ -106,7 +106,7 @@ def heading(orientations: Rotation) -> Vectors:
     return np.asarray(level / np.maximum(size, 1e-9))
 
 
-def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryConfig) -> tuple[Scalars, float]:
+def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: DeadReckoningConfig) -> tuple[Scalars, float]:
     """Times at the configured rate that all sensors cover, none of them in a long gap, and where the sensors end.
 
     What makes a walk impossible is refused, gaps are told.
@@ -137,6 +137,6 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: OdometryCo
     return times, float(stop)
 
 
-def _pieces(times: Scalars, config: OdometryConfig) -> Indices:
+def _pieces(times: Scalars, config: DeadReckoningConfig) -> Indices:
     """Numbers of the pieces between long gaps, counted from 0: (n,)."""
     return np.concatenate([[0], np.cumsum(np.diff(times) > config.longest_step)])

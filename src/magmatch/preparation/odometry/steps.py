@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
-from magmatch.preparation.odometry.config import OdometryConfig
+from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.typing import Indices, Scalars
 
 
@@ -36,7 +36,7 @@ class Steps:
         return speed
 
 
-def find_steps(vertical: Scalars, config: OdometryConfig) -> Steps:
+def find_steps(vertical: Scalars, config: DeadReckoningConfig) -> Steps:
     """Steps in the vertical acceleration (m/s^2, gravity taken off or not) at even times.
 
     Length ``K (a_max - a_min)^(1/4)`` of the low-passed acceleration within the step (Weinberg 2002).
