@@ -11,7 +11,7 @@ import magmatch as mm
 from magmatch.brief import brief
 from magmatch.features.features import Features
 from magmatch.field.values import FieldValues
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus
 from magmatch.localization.track import Track
 from magmatch.slam.result import ClosureResult, LogResult, SlamResult, SlamStatus
@@ -20,7 +20,7 @@ N = 1000
 RNG = np.random.default_rng(0)
 POINTS, FIELD = RNG.uniform(0, 3, (N, 3)), RNG.normal([2e-5, 0, -4e-5], 1e-6, (N, 3))
 WALK = mm.Survey(POINTS, FIELD, np.arange(N) * 0.1, Rotation.random(N, rng=0), name="walk")
-LOST = Estimate(LocalizerStatus.LOST, "so it is " * 40, np.eye(4), np.eye(6), 0.9, np.zeros(3), np.ones(3), 1.0)
+LOST = PoseEstimate(LocalizerStatus.LOST, "so it is " * 40, np.eye(4), np.eye(6), 0.9, np.zeros(3), np.ones(3), 1.0)
 CLOSURE = ClosureResult("a", 0.0, "b", 1.0, RigidTransform.identity(), np.eye(6), 0.99, 1.0)
 NOUNS = {
     "Survey": WALK,
@@ -28,7 +28,7 @@ NOUNS = {
     "Features": Features(POINTS, FIELD, np.ones(N), Rotation.random(N, rng=0), np.ones((N, 64))),
     "no Features": Features.empty(64),
     "FieldValues": FieldValues(FIELD, np.zeros((N, 3, 3))),
-    "Estimate": LOST,
+    "PoseEstimate": LOST,
     "Track": Track(WALK, (), [LOST] * N, mm.LocalizerConfig(), {"total": 1.0}),
     "LocalizationResult": LocalizationResult(LocalizationStatus.NEVER, "so it is " * 40, config={"a": [1] * N}),
     "ClosureResult": CLOSURE,

@@ -2,6 +2,7 @@
 """What the pages say exists; that they build without a warning is for ``make docs``."""
 
 import importlib.util
+import pkgutil
 import re
 import shlex
 from pathlib import Path
@@ -94,6 +95,12 @@ def test_files_that_a_page_names_exist(page):
     folders += [folder.parent for folder in folders[len(PACKAGES) :]]
     for name in SOURCE.findall(text):
         assert any((folder / name).exists() for folder in folders), name
+
+
+def test_names_on_the_page_of_the_api_exist():
+    text = (DOCS / "api.md").read_text()
+    for name in re.findall(r"^::: (\S+)", text, re.MULTILINE) + re.findall(r"\(#(magmatch\.[\w.]+)\)", text):
+        assert pkgutil.resolve_name(name) is not None
 
 
 def test_every_equation_is_drawn():

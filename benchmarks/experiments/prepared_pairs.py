@@ -25,7 +25,7 @@ from magmatch.data.recordings import load_recordings
 from magmatch.preparation.calibrate_in_place import fit_ellipsoid
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.prepare import prepare
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.simulation.corruption import Corruption, corrupt, draw_corruption
 from magmatch_evaluation.script import arguments, pose_error, timed
 from magmatch_evaluation.survey_pairs import in_halves
@@ -87,7 +87,7 @@ def corrupted(survey: mm.Survey, asked: Namespace, rng: np.random.Generator) -> 
     return corrupt(survey, drawn, rng)[0], drawn
 
 
-def spun(corruption: Corruption, rng: np.random.Generator) -> SensorModel:
+def spun(corruption: Corruption, rng: np.random.Generator) -> SensorCorrection:
     """What turning the sensor about in one place tells of it."""
     field = Rotation.random(500, rng=rng).apply([17.83e-6, 0.0, -44.57e-6])
     readings = field @ corruption.soft_iron.T + corruption.hard_iron + 0.4e-6 * rng.standard_normal(field.shape)

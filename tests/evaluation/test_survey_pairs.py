@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.simulation.config import SimulationConfig
-from magmatch_evaluation.survey_pairs import OnePlace, Simulated, Turned
+from magmatch_evaluation.survey_pairs import OnePlace, Simulated, TurnedPairs
 
 pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
 
@@ -32,7 +32,7 @@ def test_a_pair_may_be_the_same_for_all_seeds():
 
 def test_a_turned_pair_has_the_stated_turn_and_is_the_same_pair():
     given = Simulated("office-random", FEW)(3)
-    turned = Turned(Simulated("office-random", FEW), "x", -30.0)(3)
+    turned = TurnedPairs(Simulated("office-random", FEW), "x", -30.0)(3)
     truth = turned.T_base_target
     assert (truth.rotation * Rotation.from_euler("x", 30, degrees=True)).magnitude() < 1e-12
     for pair in (given, turned):

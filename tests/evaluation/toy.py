@@ -15,7 +15,7 @@ from magmatch_evaluation.benchmark import evaluate
 from magmatch_evaluation.experiments import Experiment
 from magmatch_evaluation.findings import Findings, result_tables
 from magmatch_evaluation.plan import Plan, make_plan
-from magmatch_evaluation.survey_pairs import Pair
+from magmatch_evaluation.survey_pairs import SurveyPair
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class ToyPair:
 
     n_samples: int = 12
 
-    def __call__(self, seed: int, recordings: Path | None = None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None = None) -> SurveyPair:
         rng = np.random.default_rng(seed)
         survey = Survey(rng.uniform(-1, 1, (self.n_samples, 3)), 1e-6 * rng.standard_normal((self.n_samples, 3)))
         T_base_target = random_transform(rng)
-        return Pair(survey, survey.transformed(T_base_target.inv()), T_base_target, accept=seed % 4 != 3)
+        return SurveyPair(survey, survey.transformed(T_base_target.inv()), T_base_target, accept=seed % 4 != 3)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.excess import excess
 from magmatch.field.prior_choice import choose_prior as choice
-from magmatch.field.prior_choice.cross_validation import Candidate
+from magmatch.field.prior_choice.cross_validation import PriorCandidate
 from magmatch.field.priors import PRIORS
 
 # Huge charges far away: the prior that a rough field along lines asked for.
@@ -55,9 +55,9 @@ def test_auto_names_and_leaves_out_a_prior_whose_field_the_samples_make_impossib
     survey = lines()
     points, field = survey.positions, survey.field
     absurd = build_map(survey, ABSURD).posterior.model
-    spline = Candidate("spline", absurd.hyperparameters, np.zeros(40))
+    spline = PriorCandidate("spline", absurd.hyperparameters, np.zeros(40))
     scatter = 0.01 * np.tile([-1.0, 1.0], 20)
-    taken = Candidate("harmonic", absurd.hyperparameters, scatter - 1, (absurd, absurd.observe(points, field)))
+    taken = PriorCandidate("harmonic", absurd.hyperparameters, scatter - 1, (absurd, absurd.observe(points, field)))
     assert choice.best([spline, taken]) is taken
     caplog.clear()
     with caplog.at_level(logging.WARNING):

@@ -28,7 +28,7 @@ from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud,
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform
 
@@ -56,7 +56,9 @@ def result(seed):
 
 def report(seed):
     step = StepReport("hard iron", "applied", f"x {seed} uT", 1.0 + seed, 0.5, "uT")
-    return PreparationReport(f"log-{seed}", (100, 90), (step,), {"n_samples": 4000 + seed}, SensorModel(), (), "0")
+    return PreparationReport(
+        f"log-{seed}", (100, 90), (step,), {"n_samples": 4000 + seed}, SensorCorrection(), (), "0"
+    )
 
 
 def catalogue() -> dict[str, Writer]:

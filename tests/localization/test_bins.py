@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.localization.bins import Binning
-from magmatch.localization.samples import Samples
+from magmatch.localization.samples import LastSample
 
 SIDE = 0.1
 
 
 def bins_of(times, poses, fields):
     """Bins that are complete, of samples along a path."""
-    samples, binning = Samples(), Binning(SIDE)
+    samples, binning = LastSample(), Binning(SIDE)
     for t, T, z in zip(times, poses, fields, strict=True):
         done = binning.add(samples.take(float(t), T.as_matrix(), z))
         if done is not None:

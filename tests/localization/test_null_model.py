@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 import magmatch as mm
 from drifting import about_z
 from magmatch.localization.measurement import FIT, STEP
-from magmatch.localization.null_model import NullModel
+from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.state import model_of
 
 
 def likelihood(known, field, config):
     """Log of the mean likelihood of unrelated fields where a body stands in a field, (3,), T, by odometry's axes."""
-    step, null = np.zeros(1, STEP), NullModel(known, model_of(known, config), config)
+    step, null = np.zeros(1, STEP), UnrelatedFields(known, model_of(known, config), config)
     step["R"], step["M"], step["z"] = np.eye(3), np.eye(3), field
     fit = np.zeros((1, len(null)), FIT)
     null.follow(step, fit)
@@ -45,7 +45,7 @@ def test_a_poor_maps_errors_are_not_asked_of_another_place(known):
     # Errors of 6 uT explain a smooth walk badly; so would the map, which must not win for it.
     config, model = mm.LocalizerConfig(), model_of(known, mm.LocalizerConfig())
     poor = model._replace(misfit_variance=6e-6**2, nugget_variance=3e-6**2)
-    steps, null = np.zeros(20, STEP), NullModel(known, poor, config)
+    steps, null = np.zeros(20, STEP), UnrelatedFields(known, poor, config)
     steps["R"], steps["M"], steps["z"], steps["u"][:, 0] = np.eye(3), np.eye(3), of_the_map(known), 0.3
     fit = np.zeros((len(steps), len(null)), FIT)
     null.follow(steps, fit)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.hindsight.smooth import join, reversed_log
 from magmatch.localization.hindsight.stretches import agreement, believed, stretches
 from magmatch.localization.localize import localize
@@ -16,7 +16,7 @@ NO_BIAS = np.zeros(3)
 
 def estimate(x, sd, name="hall"):
     T = RigidTransform.from_translation([x, 0.0, 0.0])
-    return Estimate(
+    return PoseEstimate(
         LocalizerStatus.LOCALIZED,
         "",
         T.as_matrix(),
@@ -61,7 +61,7 @@ def test_two_estimates_that_contradict_each_other_state_nothing():
     assert not any(one.is_stated for one in met)
 
 
-LOST, UNCERTAIN = (Estimate(LocalizerStatus.LOST, "", is_place_known=known) for known in (False, True))
+LOST, UNCERTAIN = (PoseEstimate(LocalizerStatus.LOST, "", is_place_known=known) for known in (False, True))
 STEPS = np.ones(10)
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.preparation.blocks import CHANNEL, channel_blocks, model_of, sensor_blocks
-from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASIS, SensorModel
+from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASIS, SensorCorrection
 
 RNG = np.random.default_rng(0)
 ATTITUDES = Rotation.random(30, random_state=RNG)
@@ -28,7 +28,7 @@ def test_columns_are_what_a_unit_of_each_unknown_changes(name):
     assert block.sd == SIZES[name]
     for k, column in enumerate(block.columns):
         unit = np.eye(len(block.columns))[k]
-        change = in_place(model_of({name: unit}, {})) - in_place(SensorModel())
+        change = in_place(model_of({name: unit}, {})) - in_place(SensorCorrection())
         np.testing.assert_allclose(column, change, atol=1e-15)
 
 
@@ -41,7 +41,7 @@ def test_a_channels_columns_are_per_standard_deviation_about_its_mean_and_one_th
     assert list(blocks) == [CHANNEL + "motor"]
     estimate = {CHANNEL + "motor": np.array([1e-6, -2e-6, 3e-6])}
     model = model_of(estimate, CURRENTS)
-    change = in_place(model, CURRENTS) - in_place(SensorModel())
+    change = in_place(model, CURRENTS) - in_place(SensorCorrection())
     found = np.einsum("k,knc->nc", estimate[CHANNEL + "motor"], blocks[CHANNEL + "motor"].columns)
     np.testing.assert_allclose(found, change, atol=1e-15)
     np.testing.assert_allclose(model.currents["motor"], estimate[CHANNEL + "motor"] / CURRENTS["motor"].std())
@@ -53,7 +53,7 @@ def test_all_unknowns_together_add_up():
     model = model_of(estimate, {})
     blocks = sensor_blocks(R, READINGS, SIZES)
     change = sum(np.einsum("k,knc->nc", estimate[name], blocks[name].columns) for name in SIZES)
-    np.testing.assert_allclose(in_place(model) - in_place(SensorModel()), change, atol=1e-15)
+    np.testing.assert_allclose(in_place(model) - in_place(SensorCorrection()), change, atol=1e-15)
     assert model.time_offset == 0.03
     assert model_of({}, {}).is_identity
 
@@ -68,21 +68,21 @@ def test_soft_iron_has_no_common_scale_and_a_misalignment_is_a_turn():
 def test_the_sensors_errors_are_those_that_the_correction_undoes():
     A, c = np.eye(3) + 0.05 * RNG.standard_normal((3, 3)), 2e-5 * RNG.standard_normal(3)
     M = np.linalg.inv(A)
-    model = SensorModel(M, M @ c, 0.02)
+    model = SensorCorrection(M, M @ c, 0.02)
     np.testing.assert_allclose(model.corrected(READINGS @ A.T + c), READINGS, atol=1e-18)
     np.testing.assert_allclose(model.hard_iron, c, atol=1e-18)
     np.testing.assert_allclose(model.soft_iron, A / np.cbrt(np.linalg.det(A)), atol=1e-12)
     turn = Rotation.from_rotvec([0.1, -0.05, 0.2])
-    turned = SensorModel(turn.as_matrix().T, np.zeros(3))
+    turned = SensorCorrection(turn.as_matrix().T, np.zeros(3))
     np.testing.assert_allclose(turned.misalignment, [0.1, -0.05, 0.2], atol=1e-12)
     assert not model.is_identity
-    assert not SensorModel(time_offset=0.1).is_identity
-    assert not SensorModel(currents={"motor": np.ones(3)}).is_identity
+    assert not SensorCorrection(time_offset=0.1).is_identity
+    assert not SensorCorrection(currents={"motor": np.ones(3)}).is_identity
 
 
 def test_a_correction_after_another_is_that_of_both_in_turn():
     first, second = (
-        SensorModel(np.eye(3) + 0.05 * RNG.standard_normal((3, 3)), 1e-5 * RNG.standard_normal(3), t)
+        SensorCorrection(np.eye(3) + 0.05 * RNG.standard_normal((3, 3)), 1e-5 * RNG.standard_normal(3), t)
         for t in (0.01, 0.02)
     )
     both = second.after(first)
@@ -91,7 +91,7 @@ def test_a_correction_after_another_is_that_of_both_in_turn():
 
 
 def test_currents_are_taken_off_where_their_channels_are_known():
-    model = SensorModel(currents={"motor": np.array([1e-6, 0, -2e-6])})
+    model = SensorCorrection(currents={"motor": np.array([1e-6, 0, -2e-6])})
     expected = READINGS - CURRENTS["motor"][:, None] * [1e-6, 0, -2e-6]
     np.testing.assert_allclose(model.corrected(READINGS, CURRENTS), expected, atol=1e-18)
     np.testing.assert_array_equal(model.corrected(READINGS, {}), READINGS)
@@ -99,14 +99,14 @@ def test_currents_are_taken_off_where_their_channels_are_known():
 
 
 def test_a_correction_is_kept_as_it_was_and_one_that_is_none_is_refused():
-    model = SensorModel(np.eye(3) + 0.01, np.array([1e-6, 0, 0]), 0.5)
-    again = SensorModel.from_dict(model.as_dict())
+    model = SensorCorrection(np.eye(3) + 0.01, np.array([1e-6, 0, 0]), 0.5)
+    again = SensorCorrection.from_dict(model.as_dict())
     np.testing.assert_array_equal(again.matrix, model.matrix)
     np.testing.assert_array_equal(again.shift, model.shift)
     assert again.time_offset == 0.0
     for size in (0.4, 2.2):
         with pytest.raises(ValueError, match="near the identity"):
-            SensorModel.from_dict(replace(model, matrix=size * np.eye(3)).as_dict())
+            SensorCorrection.from_dict(replace(model, matrix=size * np.eye(3)).as_dict())
     for shift in (np.array([np.nan, 0, 0]), np.zeros(2)):
         with pytest.raises(ValueError, match="near the identity"):
-            SensorModel.from_dict(replace(model, shift=shift).as_dict())
+            SensorCorrection.from_dict(replace(model, shift=shift).as_dict())

@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.blocks import CHANNEL, model_of
-from magmatch.preparation.calibrate_on_map import Calibration
+from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.least_squares import Solution
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 
 SURVEY = Survey(np.arange(9.0).reshape(3, 3), np.full((3, 3), 2e-5), orientations=Rotation.identity(3))
 LOG = SensorLog.of(SURVEY, None)
@@ -45,8 +45,8 @@ def solution(names, p_value=1e-6, open_=()):
 
 def reports(chosen, full=None, *, is_refused=False, currents="flag", p_value=1e-6, watched=None, **settings):
     full = full or solution(list(ESTIMATE), p_value)
-    model = SensorModel() if is_refused or not chosen.estimate else model_of(chosen.estimate, {"motor": CURRENT})
-    calibration = Calibration(
+    model = SensorCorrection() if is_refused or not chosen.estimate else model_of(chosen.estimate, {"motor": CURRENT})
+    calibration = CalibrationEstimate(
         model, full, chosen, dict.fromkeys(chosen.estimate, 5e-06), watched or {}, (9e-6, 2e-6),
         Hyperparameters(0.4, 1e-5, 4e-7, 0.2), "it is worse" if is_refused else "", None, (3e-6, 1e-6),
     )  # fmt: skip

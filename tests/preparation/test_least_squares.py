@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from magmatch.preparation.least_squares import Block, System
+from magmatch.preparation.least_squares import ParameterBlock, System
 
 N, NOISE = 800, 0.5e-6
 RNG = np.random.default_rng(0)
@@ -13,7 +13,7 @@ ONE = RNG.standard_normal((3, N, 3))
 TWO = 1e-5 * RNG.standard_normal((2, N, 3))
 WEIGHTS = RNG.uniform(0.5, 1.5, N)
 TRUTH = {"one": np.array([4e-6, -2e-6, 3e-6]), "two": np.array([0.05, -0.03])}
-BLOCKS = {"one": Block(ONE, 10e-6), "two": Block(TWO, 0.1)}
+BLOCKS = {"one": ParameterBlock(ONE, 10e-6), "two": ParameterBlock(TWO, 0.1)}
 
 
 def project(columns):
@@ -62,7 +62,8 @@ def test_estimates_scatter_as_stated_and_what_is_not_there_is_shown_as_often_as_
     assert (p > 0.5).mean() > 0.4
     assert solved(field()).p_value["one"] < 1e-6
     lone = solved(
-        field(truth={"one": TRUTH["one"], "two": np.array([5e-3, 0.0])}), BLOCKS | {"two": Block(TWO[:1], 0.1)}
+        field(truth={"one": TRUTH["one"], "two": np.array([5e-3, 0.0])}),
+        BLOCKS | {"two": ParameterBlock(TWO[:1], 0.1)},
     )
     z = lone.estimate["two"] / lone.sd["two"]
     assert lone.p_value["two"] == pytest.approx(scipy.stats.f.sf(z[0] ** 2, 1, 19), rel=1e-6)
@@ -72,7 +73,7 @@ def test_estimates_scatter_as_stated_and_what_is_not_there_is_shown_as_often_as_
 def test_errors_that_are_alike_along_the_path_widen_what_is_stated():
     """Of columns as slow as the errors are, against the scatter of the estimates themselves."""
     slow = np.sin(np.arange(N)[:, None] / 25 + np.arange(3))[None]
-    blocks = {"slow": Block(slow, 10e-6)}
+    blocks = {"slow": ParameterBlock(slow, 10e-6)}
     estimates, stated = [], []
     for seed in range(60):
         rng = np.random.default_rng(seed)
@@ -88,7 +89,7 @@ def test_errors_that_are_alike_along_the_path_widen_what_is_stated():
 
 
 def test_what_the_data_leave_open_stays_at_zero_with_the_spread_it_had():
-    copy = {"one": Block(ONE[:1], 10e-6), "constant": Block(np.ones((1, N, 3)), 5e-6)}
+    copy = {"one": ParameterBlock(ONE[:1], 10e-6), "constant": ParameterBlock(np.ones((1, N, 3)), 5e-6)}
     found = solved(field(truth={"one": TRUTH["one"] * [1, 0, 0], "two": np.zeros(2)}), copy)
     assert found.is_open["constant"].tolist() == [True]
     assert found.is_open["one"].tolist() == [False]
@@ -102,7 +103,7 @@ def test_a_direction_is_fixed_where_the_data_know_it_five_times_better_than_befo
     column = np.random.default_rng(3).standard_normal((1, N, 3))
     size = times * NOISE / np.sqrt(3 * N)
     y = 4e-5 + NOISE * np.random.default_rng(4).standard_normal((N, 3))
-    found = solved(y, {"one": Block(column, size)})
+    found = solved(y, {"one": ParameterBlock(column, size)})
     assert found.is_open["one"].tolist() == [is_open]
     assert found.noise_sd == pytest.approx(NOISE, rel=0.1)
 

@@ -13,7 +13,7 @@ from magmatch.preparation.calibrate_in_place import fit_ellipsoid
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.plausible import MOST_SOFT_IRON, why_no_field, why_no_sensor
 from magmatch.preparation.prepare import prepare
-from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
+from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection
 
 UT = 1e-6
 QUICK = PreparationConfig.model_validate(
@@ -34,7 +34,7 @@ def log_of(change=lambda b: b, n=600):
 @pytest.mark.parametrize("part", range(5))
 def test_soft_iron_is_bounded_away_from_what_makes_any_field_consistent(part):
     def of(size):
-        return SensorModel(np.eye(3) + size * SOFT_IRON_BASIS[part])
+        return SensorCorrection(np.eye(3) + size * SOFT_IRON_BASIS[part])
 
     assert not why_no_sensor(of(0.9 * MOST_SOFT_IRON))
     assert "soft iron" in why_no_sensor(of(1.1 * MOST_SOFT_IRON))
@@ -42,8 +42,8 @@ def test_soft_iron_is_bounded_away_from_what_makes_any_field_consistent(part):
 
 
 def test_a_turn_beyond_what_is_linear_is_no_misalignment():
-    assert not why_no_sensor(SensorModel(Rotation.from_rotvec([0, 0, 0.5]).as_matrix()))
-    assert "misalignment of 40 deg" in why_no_sensor(SensorModel(Rotation.from_rotvec([0, 0, 0.7]).as_matrix()))
+    assert not why_no_sensor(SensorCorrection(Rotation.from_rotvec([0, 0, 0.5]).as_matrix()))
+    assert "misalignment of 40 deg" in why_no_sensor(SensorCorrection(Rotation.from_rotvec([0, 0, 0.7]).as_matrix()))
 
 
 def test_a_field_may_vary_less_after_a_correction_but_not_more():

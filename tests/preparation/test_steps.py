@@ -18,7 +18,7 @@ from magmatch.preparation.disturbances import find_jumps, find_saturation, runs
 from magmatch.preparation.earth_field import Place, earth_field, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.resampling import resample_by_distance, steps_of
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 
 SETTINGS = settings(deadline=None, max_examples=30)
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
@@ -172,7 +172,7 @@ def test_impossible_places_are_refused(wrong):
 
 def test_a_report_is_saved_and_loaded(tmp_path):
     steps = (StepReport("spikes", "flagged", "3 samples", 3, 3, "samples", {"runs": [[0.0, 1.0]]}),)
-    report = PreparationReport("log.csv", (10, 10), steps, {"n_samples": 4000}, SensorModel(), (), "0")
+    report = PreparationReport("log.csv", (10, 10), steps, {"n_samples": 4000}, SensorCorrection(), (), "0")
     report.save(tmp_path / "r.json")
     loaded = PreparationReport.load(tmp_path / "r.json")
     assert loaded.to_dict() == report.to_dict()
@@ -184,7 +184,7 @@ def test_a_report_is_saved_and_loaded(tmp_path):
     [("sensor", None), ("sensor", {"matrix": [[1]], "shift": [0]}), ("n_samples", [3]), ("steps", [4])],
 )
 def test_a_value_of_a_report_that_cannot_be_is_named(key, value, tmp_path):
-    report = PreparationReport("log.csv", (10, 10), (), {}, SensorModel(), (), "0")
+    report = PreparationReport("log.csv", (10, 10), (), {}, SensorCorrection(), (), "0")
     (tmp_path / "r.json").write_text(json.dumps(report.to_dict() | {key: value}))
     with pytest.raises(DataFormatError, match=f"key '{key}"):
         PreparationReport.load(tmp_path / "r.json")

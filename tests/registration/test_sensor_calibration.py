@@ -9,7 +9,7 @@ import pytest
 from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
 from magmatch.geometry import transform_error
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.register import register, register_keeping_maps
@@ -60,7 +60,7 @@ def test_what_was_undone_is_said_and_saved(raw, found, tmp_path):
     result, corruption = found[2], raw[1]
     told = result.sensor["calibrated"]
     assert list(told) == ["target"]
-    model = SensorModel(np.array(told["target"]["matrix"]), np.array(told["target"]["shift"]))
+    model = SensorCorrection(np.array(told["target"]["matrix"]), np.array(told["target"]["shift"]))
     np.testing.assert_allclose(model.hard_iron, corruption.hard_iron, atol=1e-6)
     assert told["target"]["time_offset"] == pytest.approx(corruption.clock_offset, abs=4e-3)
     assert "hard iron" in in_words(result.sensor)["target"]
@@ -147,7 +147,7 @@ def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
         return RegistrationResult(status, "", pair.T_base_target, probability=probability)
 
     first, second = answer(*as_given), answer(*calibrated)
-    sides = {"target": Calibrated(raw[0], SensorModel(time_offset=0.01))}
+    sides = {"target": Calibrated(raw[0], SensorCorrection(time_offset=0.01))}
     (chosen,) = better_supported((first,), (second,), sides)
     assert (chosen is first) == (taken == "as given")
     assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})

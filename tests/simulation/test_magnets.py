@@ -11,7 +11,7 @@ from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import MissingExtraError
-from magmatch.simulation.magnets import Box, Cylinder, Dipole, distance_to, field_of, strengthened
+from magmatch.simulation.magnets import Cuboid, Cylinder, Dipole, distance_to, field_of, strengthened
 
 MU0 = constants.mu_0
 SETTINGS = settings(deadline=None, max_examples=20)
@@ -32,7 +32,7 @@ def directions(rng, n=50):
 def some_sources(rng):
     turns = Rotation.random(2, rng=rng)
     return [
-        Box(rng.normal(size=3), rng.uniform(0.1, 0.5, 3), rng.normal(size=3) * 1e-3, turns[0]),
+        Cuboid(rng.normal(size=3), rng.uniform(0.1, 0.5, 3), rng.normal(size=3) * 1e-3, turns[0]),
         Cylinder(rng.normal(size=3), 0.2, 0.6, rng.normal(size=3) * 1e-3, turns[1]),
         Dipole(rng.normal(size=3), rng.normal(size=3)),
     ]
@@ -57,7 +57,7 @@ def test_cuboid_seen_from_afar_is_a_dipole(seed):
     center = rng.normal(size=3)
     points = center + 2.0 * directions(rng)
     expected = dipole_formula(center, turn.apply(polarization) * size.prod() / MU0, points)
-    error = np.linalg.norm(field_of([Box(center, size, polarization, turn)], points) - expected, axis=1)
+    error = np.linalg.norm(field_of([Cuboid(center, size, polarization, turn)], points) - expected, axis=1)
     # The first correction is of the order (half diagonal / distance)^2, here below (0.043 / 2)^2.
     assert (error < 5e-4 * np.linalg.norm(expected, axis=1).max()).all()
 
@@ -74,7 +74,7 @@ def test_cylinder_seen_from_afar_is_a_dipole(seed):
 
 
 def test_correction_to_the_dipole_falls_with_the_square_of_the_distance(rng):
-    box = Box(np.zeros(3), np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 1.0]), Rotation.identity())
+    box = Cuboid(np.zeros(3), np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 1.0]), Rotation.identity())
     moment = box.polarization * box.size.prod() / MU0
     u = directions(rng)
     errors = []
@@ -134,7 +134,7 @@ def test_field_has_one_row_per_point(rng, n):
 def test_inside_a_magnet_and_on_its_surface_the_field_is_finite_and_at_a_dipole_it_is_refused():
     at = np.array([[0.0, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0], [0.5, 0.5, 0.5]])
     J, unturned = np.array([0, 0, 1.0]), Rotation.identity()
-    for body in (Box(np.zeros(3), np.ones(3), J, unturned), Cylinder(np.zeros(3), 1.0, 1.0, J, unturned)):
+    for body in (Cuboid(np.zeros(3), np.ones(3), J, unturned), Cylinder(np.zeros(3), 1.0, 1.0, J, unturned)):
         assert np.isfinite(field_of([body], at)).all()
     with pytest.raises(ValueError, match="found point 0"):
         field_of([Dipole(np.zeros(3), J)], at)
@@ -152,7 +152,7 @@ def test_without_magpylib_the_extra_is_named(monkeypatch):
 
 def test_distance_is_measured_to_the_surface():
     quarter_turn = Rotation.from_euler("z", 90, degrees=True)
-    box = Box(np.zeros(3), np.array([2.0, 4.0, 6.0]), np.ones(3), quarter_turn)
+    box = Cuboid(np.zeros(3), np.array([2.0, 4.0, 6.0]), np.ones(3), quarter_turn)
     points = np.array([[3.0, 0, 0], [0, 3, 0], [0, 0, 3.5], [5, 5, 0], [0.1, 0.1, 0.1]])
     np.testing.assert_allclose(distance_to(box, points), [1, 2, 0.5, 5, 0], atol=1e-12)
     can = Cylinder(np.zeros(3), 2.0, 6.0, np.ones(3), Rotation.identity())

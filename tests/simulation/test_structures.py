@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.simulation.magnets import Box, Cylinder, distance_to, field_of
+from magmatch.simulation.magnets import Cuboid, Cylinder, distance_to, field_of
 from magmatch.simulation.structures import around_box, calibrated, inside_box, is_clear, rearranged, under_table
 
 SETTINGS = settings(deadline=None, max_examples=20)
@@ -16,7 +16,7 @@ HIGH = np.array([1.5, 1.5, 0.5])
 def surface_points(source, rng, n=400):
     """Points on and in a body, world frame."""
     u = rng.uniform(-0.5, 0.5, (n, 3))
-    if isinstance(source, Box):
+    if isinstance(source, Cuboid):
         local = np.concatenate([u, np.sign(u) / 2]) * source.size
     else:
         assert isinstance(source, Cylinder)

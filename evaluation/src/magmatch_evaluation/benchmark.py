@@ -9,7 +9,7 @@ from pathlib import Path
 
 from magmatch_evaluation.parallel import run_all
 from magmatch_evaluation.plan import Plan
-from magmatch_evaluation.progress import Clock, Progress
+from magmatch_evaluation.progress import Progress, TimeEstimator
 from magmatch_evaluation.rows import AnyRow, MapRow, Row, RowFile, write_csv
 from magmatch_evaluation.trial import run_batch
 
@@ -40,7 +40,7 @@ def evaluate(
         file.mend()
     known = kept()
     todo = plan.remaining({row.key for row in known})
-    clock = Clock(known, len(wanted), todo)
+    clock = TimeEstimator(known, len(wanted), todo)
     tell(clock.progress())
     in_time = takewhile(lambda _: time.monotonic() < deadline, todo)
     for batch, rows in run_all(run_batch, in_time, jobs, scheduler):

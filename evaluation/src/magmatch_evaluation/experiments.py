@@ -16,9 +16,9 @@ from magmatch_evaluation.survey_pairs import (
     Halves,
     Interleaved,
     OnePlace,
-    Pair,
     Simulated,
-    Turned,
+    SurveyPair,
+    TurnedPairs,
     TwoRecordings,
 )
 
@@ -45,7 +45,7 @@ class Experiment:
     title: str  # what is asked, in a few words
     group: str  # table or curve it belongs to
     # ``make(seed, recordings)``; its ``repr`` says all that what it makes depends on besides those
-    make: Callable[[int, Path | None], Pair | HeldOut]
+    make: Callable[[int, Path | None], SurveyPair | HeldOut]
     n_seeds: int  # trials of the full run
     methods: tuple[str, ...]  # names of the methods that are asked
     tolerance: Tolerance = field(default_factory=Tolerance)
@@ -72,8 +72,8 @@ def _published() -> list[Experiment]:
 
     def room(kind: str, title: str, make: Any, n: int) -> list[Experiment]:
         return [
-            one(f"{kind}-z30", f"{title}, turned by 30 deg about z", Turned(make, "z", 30.0), n),
-            one(f"{kind}-x30", f"{title}, turned by -30 deg about x", Turned(make, "x", -30.0), n),
+            one(f"{kind}-z30", f"{title}, turned by 30 deg about z", TurnedPairs(make, "z", 30.0), n),
+            one(f"{kind}-x30", f"{title}, turned by -30 deg about x", TurnedPairs(make, "x", -30.0), n),
         ]
 
     few = SimulationConfig(n_samples=1000)
@@ -197,7 +197,7 @@ QUICK_PREFIX = "quick-"
 
 def _quick(name: str, make: Any, methods: tuple[str, ...]) -> Experiment:
     """Make an experiment of few seeds."""
-    full, n_samples = EXPERIMENTS[name], (make.make if isinstance(make, Turned) else make).config.n_samples
+    full, n_samples = EXPERIMENTS[name], (make.make if isinstance(make, TurnedPairs) else make).config.n_samples
     title = f"{full.title}; {n_samples} samples"
     return Experiment(QUICK_PREFIX + name, title, full.group, make, 2, methods, full.tolerance)
 
@@ -207,7 +207,7 @@ QUICK: dict[str, Experiment] = {
     experiment.name: experiment
     for experiment in (
         _quick("office-x30", Simulated("office-x30", SimulationConfig(n_samples=600)), (*MAIN_METHODS, "gicp")),
-        _quick("noise-x30", Turned(OnePlace("office-random", SimulationConfig(n_samples=600)), "x", -30.0),
+        _quick("noise-x30", TurnedPairs(OnePlace("office-random", SimulationConfig(n_samples=600)), "x", -30.0),
                MAIN_METHODS),
         _quick("nowhere", Simulated("nowhere", SimulationConfig(n_samples=400)), ("default", "paper")),
     )

@@ -23,7 +23,7 @@ PAPER, OUR_FIELD = PRESETS["paper"], SPLINE
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Task:
+class MethodInput:
     """What every method is given.
 
     ``rough_start`` is the truth, spoilt, for methods that only refine: those that search must not look at it.
@@ -38,7 +38,7 @@ class Task:
 
 
 class Method(Protocol):
-    """One way to register the surveys of a `Task`, or to predict a `HeldOut` field.
+    """One way to register the surveys of a `MethodInput`, or to predict a `HeldOut` field.
 
     Its ``repr`` holds all settings; ``module`` is what must be installed for it, if anything.
     """
@@ -63,7 +63,7 @@ class Preset:
     config: RegistrationConfig
     module: str | None = None
 
-    def __call__(self, task: Task) -> RegistrationResult:
+    def __call__(self, task: MethodInput) -> RegistrationResult:
         """Register the pair; a target that is a walk needs no map, so only the published method is given one."""
         base, target = task.build(task.base, self.config.field), task.target
         if self.config.search == "keypoints":
@@ -87,7 +87,7 @@ class Baseline:
     start: Literal["rough", "identity"] | None = None
     module: str | None = None
 
-    def __call__(self, task: Task) -> RegistrationResult:
+    def __call__(self, task: MethodInput) -> RegistrationResult:
         """Register the pair."""
         inputs: list[Any] = [task.build(task.base, self.prior), task.build(task.target, self.prior)]
         if self.start is not None:

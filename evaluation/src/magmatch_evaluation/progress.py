@@ -22,7 +22,7 @@ class Progress:
     last: Batch | None = None
 
 
-class Clock:
+class TimeEstimator:
     """Guesses the time left: what trials of the same kind took, scaled by how fast this run has been."""
 
     def __init__(self, known: Sequence[AnyRow], n_all: int, todo: Iterable[Batch]) -> None:

@@ -30,7 +30,7 @@ ROUGH_WORDS = f"started {ROUGH_ANGLE_DEG:.0f} deg and {ROUGH_DISTANCE} m off the
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Pair:
+class SurveyPair:
     """Two surveys, each in a frame of its own, the true transform, and whether there is anything to be found."""
 
     base: Survey
@@ -55,10 +55,10 @@ class Simulated:
     scenario: str
     config: SimulationConfig = field(default_factory=SimulationConfig)
 
-    def __call__(self, seed: int, recordings: Path | None = None) -> Pair:  # noqa: ARG002  (as all that make pairs)
+    def __call__(self, seed: int, recordings: Path | None = None) -> SurveyPair:  # noqa: ARG002  (as all that make pairs)
         """Give the pair of a seed."""
         pair = simulate(self.scenario, seed, self.config)
-        return Pair(pair.base, pair.target, pair.T_base_target, pair.accept)
+        return SurveyPair(pair.base, pair.target, pair.T_base_target, pair.accept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class OnePlace:
     is_noise_drawn: bool = True
     place: int = 1000  # seed of the scenario
 
-    def __call__(self, seed: int, recordings: Path | None = None) -> Pair:  # noqa: ARG002
+    def __call__(self, seed: int, recordings: Path | None = None) -> SurveyPair:  # noqa: ARG002
         """Give the pair of a seed."""
         if not self.is_noise_drawn:
             return Simulated(self.scenario, self.config)(self.place)
@@ -84,14 +84,14 @@ class OnePlace:
 
 
 @dataclass(frozen=True, slots=True)
-class Turned:
+class TurnedPairs:
     """Pairs whose target's axes are turned by a known angle about one of the base's, its origin half a metre away."""
 
     make: Simulated | OnePlace
     axis: str
     angle_deg: float
 
-    def __call__(self, seed: int, recordings: Path | None = None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None = None) -> SurveyPair:
         """Give the pair of a seed."""
         pair = self.make(seed, recordings)
         turn = Rotation.from_euler(self.axis, self.angle_deg, degrees=True)
@@ -107,7 +107,7 @@ class CeaArea:
     floor: int
     sides: tuple[float, float] = (10.0, 20.0)
 
-    def __call__(self, seed: int, recordings: Path | None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None) -> SurveyPair:
         """Give the pair of a seed."""
         walks, rng = load("cea", recordings), np.random.default_rng([seed, self.floor])
         one, two = walks[f"training-floor{self.floor}"], walks[f"test-floor{self.floor}"]
@@ -124,7 +124,7 @@ class CeaElsewhere:
 
     sides: tuple[float, float] = (8.0, 15.0)
 
-    def __call__(self, seed: int, recordings: Path | None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None) -> SurveyPair:
         """Give the pair of a seed."""
         walks, rng = load("cea", recordings), np.random.default_rng([seed, 3])
         while True:
@@ -147,7 +147,7 @@ class TwoRecordings:
     base: str
     target: str
 
-    def __call__(self, seed: int, recordings: Path | None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None) -> SurveyPair:
         """Give the pair of a seed."""
         surveys = load(self.dataset, recordings)
         return _moved(surveys[self.base], surveys[self.target], np.random.default_rng(seed))
@@ -160,7 +160,7 @@ class Halves:
     dataset: str
     name: str
 
-    def __call__(self, seed: int, recordings: Path | None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None) -> SurveyPair:
         """Give the pair of a seed."""
         return in_halves(load(self.dataset, recordings)[self.name], np.random.default_rng(seed))
 
@@ -173,7 +173,7 @@ class Interleaved:
     name: str
     side: float
 
-    def __call__(self, seed: int, recordings: Path | None) -> Pair:
+    def __call__(self, seed: int, recordings: Path | None) -> SurveyPair:
         """Give the pair of a seed."""
         survey, rng = load(self.dataset, recordings)[self.name], np.random.default_rng(seed)
         while True:
@@ -189,7 +189,7 @@ def load(dataset: str, recordings: Path | None) -> Mapping[str, Survey]:
     return load_recordings(dataset, recordings)
 
 
-def in_halves(survey: Survey, rng: np.random.Generator) -> Pair:
+def in_halves(survey: Survey, rng: np.random.Generator) -> SurveyPair:
     """Pair the first half of a recording with its second half."""
     is_first = np.arange(len(survey)) < len(survey) // 2
     return _moved(survey.subset(is_first), survey.subset(~is_first), rng)
@@ -200,7 +200,7 @@ def area(survey: Survey, center: np.ndarray, side: float) -> Survey:
     return survey.subset(np.all(np.abs(survey.positions[:, :2] - center) < side / 2, axis=1))
 
 
-def _moved(base: Survey, target: Survey, rng: np.random.Generator, *, accept: bool = True) -> Pair:
+def _moved(base: Survey, target: Survey, rng: np.random.Generator, *, accept: bool = True) -> SurveyPair:
     """Give the target a frame of its own."""
     T_base_target = random_transform(rng)
-    return Pair(base, target.transformed(T_base_target.inv()), T_base_target, accept)
+    return SurveyPair(base, target.transformed(T_base_target.inv()), T_base_target, accept)

@@ -19,9 +19,9 @@ from magmatch.registration.result import RegistrationResult
 from magmatch_evaluation.cost import Cost, MapShelf, measured
 from magmatch_evaluation.experiments import Experiment
 from magmatch_evaluation.held_out_field import HeldOut
-from magmatch_evaluation.methods import Method, Task
+from magmatch_evaluation.methods import Method, MethodInput
 from magmatch_evaluation.rows import AnyRow, Key, MapRow, Row
-from magmatch_evaluation.survey_pairs import Pair
+from magmatch_evaluation.survey_pairs import SurveyPair
 
 log = logging.getLogger(__name__)
 
@@ -49,8 +49,8 @@ def run_batch(batch: Batch) -> list[AnyRow]:
     """Make the pair once and ask every method."""
     made, shelf = batch.experiment.make(batch.seed, batch.recordings), MapShelf()
     subject: Any = made
-    if isinstance(made, Pair):
-        subject = Task(made.base, made.target, batch.seed, made.rough_start(batch.seed), shelf.build)
+    if isinstance(made, SurveyPair):
+        subject = MethodInput(made.base, made.target, batch.seed, made.rough_start(batch.seed), shelf.build)
     rows: list[AnyRow] = []
     for method, key in zip(batch.methods, batch.row_keys(), strict=True):
         log.info("%s, seed %d: %s", batch.experiment.name, batch.seed, method.name)
@@ -103,7 +103,7 @@ def _map_row(key: Key, outcome: tuple[float, float, float] | str, cost: Cost) ->
     return MapRow(*key, "", *outcome, cost.seconds)
 
 
-def _row(key: Key, pair: Pair, outcome: RegistrationResult | str, cost: Cost) -> Row:
+def _row(key: Key, pair: SurveyPair, outcome: RegistrationResult | str, cost: Cost) -> Row:
     distance, angle, nees = math.inf, math.inf, math.nan
     if isinstance(outcome, str):
         said = (FAULT, outcome, False)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch_serve.messages import (
     POSE,
     SAMPLE,
@@ -67,7 +67,7 @@ def test_any_hello_is_one_or_a_refusal(message):
 def stated(rng):
     T = RigidTransform.from_exp_coords(rng.normal(size=6))
     A = rng.normal(size=(6, 6))
-    return Estimate(LocalizerStatus.LOCALIZED, "why", T.as_matrix(), A @ A.T, 0.999, map="hall")
+    return PoseEstimate(LocalizerStatus.LOCALIZED, "why", T.as_matrix(), A @ A.T, 0.999, map="hall")
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -82,7 +82,7 @@ def test_a_pose_comes_back_as_it_was(seed):
 
 @pytest.mark.parametrize("binary", [False, True])
 def test_where_nothing_is_stated_no_pose_is_said(binary):
-    said = read_pose(write_pose(1, 0.0, Estimate(LocalizerStatus.LOST, "why"), binary=binary))
+    said = read_pose(write_pose(1, 0.0, PoseEstimate(LocalizerStatus.LOST, "why"), binary=binary))
     assert said["status"] == "lost"
     assert "T_map_body" not in said
 

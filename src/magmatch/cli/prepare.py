@@ -16,7 +16,7 @@ from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 if TYPE_CHECKING:
     from magmatch.data.formats.format import SurveyFormat
     from magmatch.preparation.earth_field import Place
-    from magmatch.preparation.sensor_model import SensorModel
+    from magmatch.preparation.sensor_model import SensorCorrection
 
 EXAMPLES = (
     "magmatch prepare log.csv --field-unit uT --field-frame sensor --trajectory poses.tum --out survey.csv",
@@ -111,7 +111,7 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
     return Place(latitude, longitude, height, when)
 
 
-def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorModel":
+def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorCorrection":
     """Known correction of the sensor, from a report or a recording made while rotating it."""
     from magmatch.data.formats.table_columns import read_columns
     from magmatch.data.survey_columns import FIELD_COLUMNS

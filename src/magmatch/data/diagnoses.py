@@ -21,7 +21,7 @@ from magmatch.data.frame_mistakes import (
     LESS,
     OWN,
     Found,
-    Hypothesis,
+    FrameMistake,
     Turned,
     lag_instead,
     mistake_made,
@@ -225,7 +225,7 @@ def _told(found: Found, conventions: Mapping[str, Turned], heading: str) -> Diag
     return Diagnosis(kind, measured, also + _of_axes(found.hypotheses, conventions[name]))
 
 
-def _of_axes(alike: tuple[Hypothesis, ...], read: Turned) -> str:
+def _of_axes(alike: tuple[FrameMistake, ...], read: Turned) -> str:
     """Say how to read the axes; which way the field points along z tells the sign that scatter does not."""
     if len(alike) > MOST_WAYS:
         return "the motion does not tell which way: state how the sensor is mounted (--extrinsic)"

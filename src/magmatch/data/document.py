@@ -115,7 +115,7 @@ class TypedDocument:
         return {"schema": self.SCHEMA} | {self.key(n): plain(getattr(self, n), self.key(n)) for n in names}
 
     def save(self, path: str | Path) -> None:
-        """Write the result as JSON (layout in ``docs/conventions.md``), whole or not at all.
+        """Write the result as JSON (layout in ``docs/formats.md``), whole or not at all.
 
         `DataFormatError` where the folder does not exist.
         """

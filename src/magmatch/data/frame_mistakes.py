@@ -75,7 +75,7 @@ class Turned:
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
+class FrameMistake:
     """Say how the vectors would be right."""
 
     convention: str
@@ -91,11 +91,11 @@ class Hypothesis:
 class Found:
     """The remedy of a mistake: hypotheses that the motion does not tell apart, best first, or a mount."""
 
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[FrameMistake, ...]
     share: float  # scatter that is left, of that as declared
     mount: Rotation | None = None  # takes the sensor's axes to those of the orientations, where no permutation does
 
-    def without(self, worse: Collection[Hypothesis]) -> "Found":
+    def without(self, worse: Collection[FrameMistake]) -> "Found":
         """Without some of the hypotheses."""
         return replace(self, hypotheses=tuple(one for one in self.hypotheses if one not in worse))
 
@@ -145,7 +145,7 @@ def _shifted(points: Points, declared: Turned, lag: int) -> tuple[Points, dict[s
     return points[posed], {DECLARED: Turned(declared.readings[read], turned, declared.carried_by[posed])}
 
 
-def _is_worse(one: Hypothesis, found: Found, parts: "Sequence[_Judged]", *, free: bool) -> bool:
+def _is_worse(one: FrameMistake, found: Found, parts: "Sequence[_Judged]", *, free: bool) -> bool:
     """Whether a hypothesis scatters more than the best in every part of a survey."""
     best = found.hypotheses[0]
     return all(part.of_one(best, free=free) < TIE * part.of_one(one, free=free) for part in parts)
@@ -166,7 +166,7 @@ class _Judged:
 
     grams: Mapping[str, tuple["_Gram", "_Gram"]]  # of each convention
     earth: Mapping[str, Matrix]  # (3, 9) of each: what is constant in the survey's frame, of a matrix's numbers
-    hypotheses: tuple[Hypothesis, ...]
+    hypotheses: tuple[FrameMistake, ...]
     scatter: tuple[Scalars, Scalars]  # of each hypothesis, T^2
     declared_stands_still: bool
 
@@ -182,21 +182,21 @@ class _Judged:
         for name, one in conventions.items():
             axes = AXES if one.any_axes else {OWN: AXES[OWN]}
             numbers = np.array(list(axes.values())).reshape(-1, 9)
-            hypotheses += [Hypothesis(name, words) for words in axes]
+            hypotheses += [FrameMistake(name, words) for words in axes]
             values.append([gram.scatter(numbers) for gram in grams[name]])
             stands.append(_stand_still(earth[name], numbers))
         fixed, free = np.concatenate(values, axis=1)
-        still, declared = np.concatenate(stands), hypotheses.index(Hypothesis(DECLARED))
+        still, declared = np.concatenate(stands), hypotheses.index(FrameMistake(DECLARED))
         free = np.where(still | (np.arange(len(still)) == declared), free, np.inf)
         return cls(grams, earth, tuple(hypotheses), (fixed, free), bool(still[declared]))
 
-    def of_one(self, one: Hypothesis, *, free: bool) -> float:
+    def of_one(self, one: FrameMistake, *, free: bool) -> float:
         """Scatter under one hypothesis."""
         return float(self.scatter[free][self.hypotheses.index(one)])
 
     def least(self, *, free: bool) -> Found | None:
         """The fewest mistakes that scatter least, and all as many that scatter little more; None if none do."""
-        scatter, declared = self.scatter[free], self.of_one(Hypothesis(DECLARED), free=free)
+        scatter, declared = self.scatter[free], self.of_one(FrameMistake(DECLARED), free=free)
         n_mistakes = np.array([one.n_mistakes for one in self.hypotheses])
         fewest = int(n_mistakes[LESS * scatter <= scatter.min()].min())
         among = np.where(n_mistakes == fewest, scatter, np.inf)
@@ -240,7 +240,9 @@ class _Judged:
             value = self.of_one(found.hypotheses[0], free=free)
         else:
             value = float(self.grams[DECLARED][free].scatter(found.mount.as_matrix().reshape(1, 9))[0])
-        return value < LESS * self.of_one(Hypothesis(DECLARED), free=free) and LESS * value < self.scatter[free].min()
+        return (
+            value < LESS * self.of_one(FrameMistake(DECLARED), free=free) and LESS * value < self.scatter[free].min()
+        )
 
     def is_beaten(self, found: Found) -> bool:
         """Whether another hypothesis scatters less once a constant of the sensor is free."""

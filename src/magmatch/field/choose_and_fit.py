@@ -5,7 +5,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
 from magmatch.field.fit import fit_unbounded, within
-from magmatch.field.linear_model import Posterior
+from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice.choose_hyperparameters import choose_numbers
 from magmatch.field.prior_choice.choose_prior import choose_prior
@@ -16,7 +16,7 @@ from magmatch.runner import Workers
 
 def choose_and_fit(
     surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None
-) -> tuple[FieldMap, Posterior, Survey]:
+) -> tuple[FieldMap, FieldPosterior, Survey]:
     """Map of all samples, its posterior without a declared box, and the samples in the model's frame."""
     merged = surveys[0].merged(*surveys[1:])
     T_map_model = merged.principal_frame()

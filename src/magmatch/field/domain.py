@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, Index, Posterior
+from magmatch.field.linear_model import Axes, FieldPosterior, Index
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import spanned_points
@@ -58,7 +58,7 @@ class Box:
 class BoundedPosterior:
     """A posterior within a box; fills `magmatch.field.linear_model.Posterior`."""
 
-    inner: Posterior
+    inner: FieldPosterior
     box: Box
 
     @property
@@ -99,7 +99,7 @@ class BoundedPosterior:
         """See `Posterior.draw_weights`."""
         return self.inner.draw_weights(n_draws, rng)
 
-    def without_factors(self) -> Posterior:
+    def without_factors(self) -> FieldPosterior:
         """See `Posterior.without_factors`."""
         return replace(self, inner=self.inner.without_factors())
 

@@ -24,7 +24,7 @@ _N_ASKED, _BESIDE = 200, 0.5
 _DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
 
 
-class Fitted(Protocol):
+class FittedField(Protocol):
     """A map, or a posterior."""
 
     @property
@@ -38,7 +38,7 @@ class Fitted(Protocol):
         """Tell where the field counts as known."""
 
 
-def excess(fitted: Fitted, samples: Survey) -> str:
+def excess(fitted: FittedField, samples: Survey) -> str:
     """In words, that the field beside samples, as far as it counts as known, is none they make possible; or empty."""
     some = samples.positions[:: -(-len(samples) // _N_ASKED)]
     beside = (some[:, None] + _BESIDE * fitted.hyperparameters.lengthscale * _DIRECTIONS).reshape(-1, 3)
@@ -51,7 +51,7 @@ def excess(fitted: Fitted, samples: Survey) -> str:
     return f"varies by {field_text(found)} beside samples that vary by {field_text(spread)}"
 
 
-def warn_of_excess(fitted: Fitted, samples: Survey) -> None:
+def warn_of_excess(fitted: FittedField, samples: Survey) -> None:
     """Warn if the field of a map is none that its samples make possible."""
     if words := excess(fitted, samples):
         log.warning("%s: the map's field %s, which they do not show: use another prior", samples.name, words)

@@ -9,7 +9,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import BoundedPosterior, Box
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, Prior, StoredTile
+from magmatch.field.linear_model import FieldPosterior, Index, Prior, StoredTile
 from magmatch.field.priors import prior_over
 from magmatch.runner import Workers
 from magmatch.threads import single_threaded
@@ -23,7 +23,7 @@ def fit_posterior(
     T_domain_model: RigidTransform | None = None,
     stored: Mapping[Index, StoredTile] | None = None,
     run: Workers | None = None,
-) -> Posterior:
+) -> FieldPosterior:
     """Posterior of the field given samples in the model's frame; the same arguments give the same bits.
 
     ``T_domain_model`` takes model coordinates to those in which ``config.domain`` is given. Tiles of an earlier fit
@@ -39,12 +39,12 @@ def fit_unbounded(
     prior: Prior,
     stored: Mapping[Index, StoredTile],
     run: Workers | None,
-) -> Posterior:
+) -> FieldPosterior:
     """Posterior of the field wherever the basis reaches."""
     points, field = samples.positions, samples.field
     return prior.build(points, field, hyperparameters).fit(points, field, stored, run)
 
 
-def within(box: Box | None, posterior: Posterior) -> Posterior:
+def within(box: Box | None, posterior: FieldPosterior) -> FieldPosterior:
     """The posterior inside a box, its prior outside; unchanged without a box."""
     return posterior if box is None else BoundedPosterior(posterior, box)

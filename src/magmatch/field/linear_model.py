@@ -37,16 +37,16 @@ class LinearModel(Protocol):
     def observe(self, points: Points, field: Vectors) -> Any:
         """Information in samples, from which that in some of them can be subtracted."""
 
-    def infer(self, information: Any) -> "Posterior":
+    def infer(self, information: Any) -> "FieldPosterior":
         """Posterior of the weights given information (one factorisation)."""
 
     def fit(
         self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Workers | None, /
-    ) -> "Posterior":
+    ) -> "FieldPosterior":
         """Posterior of samples; stored tiles with a matching fingerprint are reused, ``run`` fits the others."""
 
 
-class Posterior(Protocol):
+class FieldPosterior(Protocol):
     """A fitted field, in the model's frame."""
 
     @property
@@ -85,7 +85,7 @@ class Posterior(Protocol):
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """Posterior samples for `evaluate`, n_draws of them, in the model's own representation."""
 
-    def without_factors(self) -> "Posterior":
+    def without_factors(self) -> "FieldPosterior":
         """The mean alone, where many are kept: draws and covariances can no longer be asked for."""
 
     def knows(self, points: Points) -> Mask:
@@ -97,7 +97,7 @@ class Posterior(Protocol):
 REFIT_TOLERANCE, N_CHECKED = 1e-6, 2000
 
 
-def is_refit(posterior: Posterior, weights: Scalars, points: Points) -> bool:
+def is_refit(posterior: FieldPosterior, weights: Scalars, points: Points) -> bool:
     """Whether stored weights give the field of a new fit where there are data, but for rounding."""
     if weights.shape != posterior.weights.shape:
         return False

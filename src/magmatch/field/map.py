@@ -26,7 +26,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, StoredTile
+from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
@@ -64,7 +64,7 @@ class FieldMap:
     """
 
     survey: Survey
-    posterior: Posterior
+    posterior: FieldPosterior
     T_map_model: RigidTransform
     config: FieldConfig
     T_domain_model: RigidTransform
@@ -278,7 +278,7 @@ class FieldMap:
         return replace(self, survey=merged, posterior=posterior, fitted_samples=fitted, parts=parts)
 
     def save(self, path: str | Path) -> None:
-        """Write the map to one file (layout in ``docs/conventions.md``), whole or not at all.
+        """Write the map to one file (layout in ``docs/formats.md``), whole or not at all.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ from magmatch.errors import DataFormatError, MagmatchError
 from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, StoredTile, is_refit
+from magmatch.field.linear_model import FieldPosterior, Index, StoredTile, is_refit
 from magmatch.store import expect, naming, open_stored, save
 from magmatch.typing import Scalars
 
@@ -98,7 +98,7 @@ class MapRecord:
             )
             raise ValueError(msg)
 
-    def restore(self, path: str | Path) -> Posterior:
+    def restore(self, path: str | Path) -> FieldPosterior:
         """Posterior of the samples, once it is seen to be the one that was saved."""
         run = _refuse_to_fit if self.tiles else map
         try:

@@ -9,15 +9,15 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.measurement import FIT, Window, follow
-from magmatch.localization.null_model import NullModel
+from magmatch.localization.measurement import FIT, LatestBins, follow
+from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import (
     Toll,
-    Weighed,
+    WeighedHypothesis,
     covariance_of,
     end_of_agreement,
     evidence,
@@ -41,7 +41,7 @@ NO_CHANCE = -14.0
 # guess, whose logarithm has a standard deviation of 1, as in slam. Three nodes of it are told apart by a walk.
 DRIFTS = (1.0, np.exp(-2.0), np.exp(2.0))
 DRIFT_ODDS = np.log(np.array([1.0, np.exp(-0.5), np.exp(-0.5)]) / (1 + 2 * np.exp(-0.5)))
-NOTHING: Posterior[Weighed] = Posterior((), (), 0.0, 1.0)
+NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 
 class Belief:
@@ -63,9 +63,9 @@ class Belief:
         self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
-        self._null = NullModel(known, self._model, config)
-        self._window, self._bank = Window.of(len(self._null)), hypotheses(0)
-        self._weighed: list[Weighed] = []
+        self._null = UnrelatedFields(known, self._model, config)
+        self._window, self._bank = LatestBins.of(len(self._null)), hypotheses(0)
+        self._weighed: list[WeighedHypothesis] = []
         self._found, self._words = NOTHING, ""
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
@@ -235,17 +235,17 @@ class Belief:
         words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
         return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
 
-    def estimate(self, T: Matrix, *, at_once: bool) -> Estimate:
+    def estimate(self, T: Matrix, *, at_once: bool) -> PoseEstimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
         stands = (at_once or self._stands()) if self._is_place_known() else False
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
-            return Estimate(status, words, probability=self._found.best, is_place_known=stands)
+            return PoseEstimate(status, words, probability=self._found.best, is_place_known=stands)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
         said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
         is_in = bool(self._window.fit[-1, 0]["is_known"])
-        return Estimate(
+        return PoseEstimate(
             LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
             self._words if is_in else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
@@ -256,11 +256,11 @@ class Belief:
     def _standing(self) -> str:
         return f"{self._config.stands * self._known.length:.3g} m"
 
-    def hypotheses(self) -> list[Hypothesis]:
+    def hypotheses(self) -> list[PoseHypothesis]:
         """Hypotheses at the last bin, most likely first."""
         T_map_model = RigidTransform.from_matrix(self._known.frame.T_map_model)
         found = zip(self._found.poses, self._found.probabilities, strict=True)
-        return [Hypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
+        return [PoseHypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 
     def _why(self) -> str:
         """Why the place is not known."""

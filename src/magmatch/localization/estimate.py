@@ -28,7 +28,7 @@ def phase(status: LocalizerStatus, *, is_place_known: bool) -> str:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Hypothesis:
+class PoseHypothesis:
     """Where the body may be: name of the map, ``T_map_body`` and how probable that is."""
 
     map: str
@@ -37,7 +37,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Estimate:
+class PoseEstimate:
     """Where the body is.
 
     Attributes

@@ -12,7 +12,7 @@ from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate
+from magmatch.localization.estimate import PoseEstimate
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.samples import OdometryJump
@@ -76,7 +76,7 @@ def _is_level(place: Place, walk: Survey) -> bool:
     return not isinstance(place, Atlas) and all(lie_level([s]) for s in (walk, survey_of(place)))
 
 
-def _maps(place: Place, estimates: Sequence[Estimate]) -> tuple[FieldMap, ...]:
+def _maps(place: Place, estimates: Sequence[PoseEstimate]) -> tuple[FieldMap, ...]:
     """The map; of an atlas, those in which a pose is stated."""
     if isinstance(place, Atlas):
         named = {e.map for e in estimates}

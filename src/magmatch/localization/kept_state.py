@@ -14,14 +14,14 @@ from magmatch.localization.bins import Bin, Binning
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces, NotReadyError
 from magmatch.localization.localizer import Localizer
-from magmatch.localization.measurement import Window
-from magmatch.localization.samples import Samples
-from magmatch.localization.weigh_hypotheses import Weighed
+from magmatch.localization.measurement import LatestBins
+from magmatch.localization.samples import LastSample
+from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 from magmatch.registration.decide.posterior import Posterior
 
 # What a state may consist of, and changes with.
 SCHEMA = "magmatch.localizer/5"
-KINDS = (Bin, Binning, Posterior, Samples, Weighed, Window)
+KINDS = (Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "_start"}
 

@@ -10,10 +10,10 @@ from magmatch.arguments import expect_kind, expect_transform
 from magmatch.field.map import FieldMap
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, Hypothesis, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
-from magmatch.localization.samples import Samples
+from magmatch.localization.samples import LastSample
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
@@ -39,7 +39,7 @@ class Localizer:
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
             self._maps = LikelyMaps(known, config)
-        self._samples = Samples()
+        self._samples = LastSample()
         self._binning = Binning(self._maps.bin_length)
 
     def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
@@ -81,21 +81,21 @@ class Localizer:
                 belief.search()
         self._maps.judge()
 
-    def estimate(self, *, at_once: bool = False) -> Estimate:
+    def estimate(self, *, at_once: bool = False) -> PoseEstimate:
         """Give the present estimate; its ``T_map_body`` is None unless the pose is stated.
 
         ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands.
         """
         best = self._maps.best
         if best is None:
-            return Estimate(LocalizerStatus.SEARCHING, self._maps.why_none)
+            return PoseEstimate(LocalizerStatus.SEARCHING, self._maps.why_none)
         return best.estimate(self._samples.T_odom_body, at_once=at_once)
 
     def map_probabilities(self) -> dict[str, float]:
         """Give the probability of each likely map, by name; what is left to 1 is that the body is in none of them."""
         return self._maps.probabilities()
 
-    def hypotheses(self) -> list[Hypothesis]:
+    def hypotheses(self) -> list[PoseHypothesis]:
         """List the competing hypotheses as of the last bin of the path, most likely first."""
         found = [one for belief in self._maps.likely.values() for one in belief.hypotheses()]
         return sorted(found, key=lambda one: -one.probability)

@@ -29,7 +29,7 @@ FIT = np.dtype([("chi2", "f8"), ("half_log_det", "f8"), ("is_known", "i8"), ("is
 
 
 @dataclass(eq=False, slots=True)
-class Window:
+class LatestBins:
     """The last bins, and how well hypotheses (k) and unrelated fields (c) predicted each.
 
     Attributes
@@ -45,7 +45,7 @@ class Window:
     _end: int = 0
 
     @classmethod
-    def of(cls, n_null: int) -> "Window":
+    def of(cls, n_null: int) -> "LatestBins":
         """No bin yet."""
         return cls(np.zeros(0, STEP), np.zeros((0, 0), FIT), np.zeros((0, n_null), FIT))
 
@@ -82,9 +82,9 @@ class Window:
         self._steps[self._end] = (R0.T @ b.R, u, b.t - t0, b.z, b.M, b.R, b.p, b.t, w0 + math.sqrt(u @ u))
         self._end += 1
 
-    def trimmed(self) -> "Window":
+    def trimmed(self) -> "LatestBins":
         """The same without room for more."""
-        return Window(self.steps, self.fit, self.null, 0, len(self))
+        return LatestBins(self.steps, self.fit, self.null, 0, len(self))
 
     def forget_first(self) -> None:
         """Of all bins the oldest."""

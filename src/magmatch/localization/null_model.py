@@ -29,7 +29,7 @@ UNRELATED = np.dtype(
 )
 
 
-class NullModel:
+class UnrelatedFields:
     """Unrelated fields, each filtered up to the last bin: those of the whole path, and the same begun anew."""
 
     def __init__(self, known: KnownMap, model: Model, config: LocalizerConfig) -> None:

@@ -37,7 +37,7 @@ def _none() -> np.ndarray:
 
 
 @dataclass(eq=False, slots=True)
-class Samples:
+class LastSample:
     """The last sample, (1,) of SAMPLE."""
 
     last: np.ndarray = field(default_factory=_none)

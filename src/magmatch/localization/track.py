@@ -18,7 +18,7 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, transform_from_product
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate
+from magmatch.localization.estimate import PoseEstimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
 from magmatch.localization.samples import MOST_STEP
 from magmatch.registration.decide.estimate import worst_sd
@@ -49,7 +49,7 @@ class Track:
 
     log: Survey
     maps: tuple[FieldMap, ...]
-    estimates: Sequence[Estimate]
+    estimates: Sequence[PoseEstimate]
     config: LocalizerConfig
     seconds: dict[str, float]
     places: dict[str, float] = field(default_factory=dict)

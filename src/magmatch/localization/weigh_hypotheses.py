@@ -24,7 +24,7 @@ STATED = np.dtype(
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Weighed:
+class WeighedHypothesis:
     """A hypothesis (1,) as a decision sees it, the likeliest of those that differ by how the odometry drifts."""
 
     rows: tuple[int, ...]  # these, likeliest first; the evidence is that of all
@@ -150,7 +150,7 @@ def _average(chi2, n, log_factors, inverse, log_priors):  # type: ignore[no-unty
 def weigh(
     bank: np.ndarray, steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll,
     tolerance: tuple[float, float],
-) -> list[Weighed]:  # fmt: skip
+) -> list[WeighedHypothesis]:  # fmt: skip
     """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`.
 
     A pose under several drifts of the odometry is one answer, whose evidence is the sum over these: it includes their
@@ -159,7 +159,7 @@ def weigh(
     gained, factor, misfit = evidence(steps, fit, null, known, toll)
     gained += bank["earlier"]
     return [
-        Weighed(
+        WeighedHypothesis(
             rows,
             bank[rows[0] : rows[0] + 1],
             float(np.logaddexp.reduce(gained[list(rows)])),

@@ -7,9 +7,9 @@ from magmatch.data.sensor_axes import find_stuck
 from magmatch.errors import SurveyError
 from magmatch.preparation.blocks import model_of
 from magmatch.preparation.config import CalibrationConfig
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, Block, Solution, System, student_weights
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, ParameterBlock, Solution, System, student_weights
 from magmatch.preparation.plausible import why_no_field, why_no_sensor
-from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorModel
+from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection
 from magmatch.typing import Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50
@@ -20,7 +20,7 @@ TRIMMED, WIDEST = 5, 4.0
 WORST_FIT = 0.1
 
 
-def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
+def fit_ellipsoid(readings: Vectors) -> tuple[SensorCorrection, Solution]:
     """Correction that gives all readings of a sensor, rotated in one place, the same magnitude (sensor frame, T).
 
     The correction is zero along directions that the attitudes do not determine: unless the sensor is turned upside
@@ -35,7 +35,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
         raise SurveyError(msg)
     sizes = CalibrationConfig()
     center, weights = _sphere(readings)
-    model = SensorModel(shift=center)
+    model = SensorCorrection(shift=center)
     values = {"hard_iron": model.shift, "soft_iron": np.zeros(5)}
     for _ in range(MOST_STEPS):
         corrected = model.corrected(readings)
@@ -44,7 +44,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorModel, Solution]:
         columns = {"hard_iron": -u.T, "soft_iron": np.einsum("ni,kij,nj->kn", u, SOFT_IRON_BASIS, readings)}
         y = magnitude - sum(values[name] @ columns[name] for name in columns)
         scale = {"hard_iron": sizes.hard_iron_sd, "soft_iron": sizes.soft_iron_sd}
-        blocks = {name: Block(column[..., None], scale[name]) for name, column in columns.items()}
+        blocks = {name: ParameterBlock(column[..., None], scale[name]) for name, column in columns.items()}
 
         def project(c: np.ndarray, w: np.ndarray = weights) -> tuple[np.ndarray, np.ndarray]:
             left = c * w[:, None]
@@ -71,7 +71,7 @@ def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:
     return np.asarray(center), student_weights((misfit / (MEDIAN_TO_SD * np.median(misfit))) ** 2, 1)
 
 
-def _require_sensor(readings: Vectors, model: SensorModel, solution: Solution) -> None:
+def _require_sensor(readings: Vectors, model: SensorCorrection, solution: Solution) -> None:
     """Refuse a correction that no sensor needs, or that leaves no one field."""
     corrected = model.corrected(readings)
     # The axis that a sensor was turned about reads one value, too: its offset stays open.

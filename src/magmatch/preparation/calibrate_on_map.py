@@ -11,10 +11,10 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
-from magmatch.preparation.least_squares import Block, Solution, System, student_weights
+from magmatch.preparation.least_squares import ParameterBlock, Solution, System, student_weights
 from magmatch.preparation.plausible import why_no_sensor
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.preparation.time_offset import coarse_settings, search_time_offset
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
@@ -31,10 +31,10 @@ FEWEST_READINGS = 100
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Calibration:
+class CalibrationEstimate:
     """Estimated errors of clock and sensor."""
 
-    model: SensorModel  # the correction; the identity if nothing was significant
+    model: SensorCorrection  # the correction; the identity if nothing was significant
     full: Solution  # all unknowns together, before insignificant ones were dropped
     chosen: Solution  # those that were kept
     # T: inconsistency that would remain without each of those kept (root mean square of a component)
@@ -54,15 +54,15 @@ class Calibration:
         """Whether the correction was withdrawn."""
         return bool(self.refused)
 
-    def withdrawn(self, why: str) -> "Calibration":
+    def withdrawn(self, why: str) -> "CalibrationEstimate":
         """Drop the correction, if there is a reason in words."""
-        return replace(self, model=SensorModel(), refused=why) if why else self
+        return replace(self, model=SensorCorrection(), refused=why) if why else self
 
 
 @single_threaded
 def calibrate(
     sensor_log: SensorLog, config: PreparationConfig, channels: Mapping[str, Scalars], is_good: Mask
-) -> Calibration | None:
+) -> CalibrationEstimate | None:
     """Estimate clock offset, hard and soft iron, misalignment and currents together, against a map of the place."""
     switches = switches_of(config, sensor_log, channels)
     largest = config.time_offset.largest if "time_offset" in switches else 0.0
@@ -94,7 +94,7 @@ def calibrate(
         beyond, active = float(chosen.estimate["time_offset"][0]), active - {"time_offset"}
         model, system = estimator.refined(replace(model, time_offset=0.0), active)
         chosen = system.solve(active)
-    calibration = Calibration(
+    calibration = CalibrationEstimate(
         model_of(chosen.estimate, values),
         full,
         chosen,
@@ -107,7 +107,7 @@ def calibrate(
     return _held_to_account(calibration, part, values)
 
 
-def _rough_model(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorModel:
+def _rough_model(part: SensorLog, largest: float, sizes: Mapping[str, float]) -> SensorCorrection:
     """Choose where the estimate begins."""
     tell("looking for the offset between the clocks")
     offset, rough = search_time_offset(part, largest, sizes)
@@ -118,10 +118,12 @@ def _rms(residual: Vectors) -> float:
     return float(np.sqrt((residual**2).mean()))
 
 
-def _held_to_account(calibration: Calibration, part: SensorLog, channels: Mapping[str, Scalars]) -> Calibration:
+def _held_to_account(
+    calibration: CalibrationEstimate, part: SensorLog, channels: Mapping[str, Scalars]
+) -> CalibrationEstimate:
     """The calibration with a map's errors on held-out stretches; withdrawn if they grow or no sensor is like that."""
     errors, spreads = [], []
-    for model in (SensorModel(), calibration.model):
+    for model in (SensorCorrection(), calibration.model):
         positions, orientations = part.at(model.time_offset)
         readings = model.corrected(part.readings, channels)
         errors.append(held_out_error(positions, orientations.apply(readings), calibration.hyperparameters))
@@ -177,7 +179,7 @@ class _Estimator:
         self.largest = largest  # s: for offsets up to this all readings have poses
         self.weights = np.ones(len(part))
 
-    def refined(self, model: SensorModel, active: set[str]) -> tuple[SensorModel, System]:
+    def refined(self, model: SensorCorrection, active: set[str]) -> tuple[SensorCorrection, System]:
         """Model at which linearising again changes nothing, and the last linear system."""
         model = self._within(model)
         for step in range(MOST_STEPS):
@@ -191,11 +193,11 @@ class _Estimator:
                 break
         return model, system
 
-    def _within(self, model: SensorModel) -> SensorModel:
+    def _within(self, model: SensorCorrection) -> SensorCorrection:
         """The model with an offset of the clocks for which all readings have poses."""
         return replace(model, time_offset=float(np.clip(model.time_offset, -self.largest, self.largest)))
 
-    def choose_settings(self, model: SensorModel) -> None:
+    def choose_settings(self, model: SensorCorrection) -> None:
         """Settings of a map of the field as corrected so far, which forgets what a coarser one disagreed with."""
         tell("choosing the settings of a fine map")
         positions, orientations = self.part.at(model.time_offset)
@@ -204,7 +206,7 @@ class _Estimator:
         self.hyperparameters, self.weights = h, np.ones(len(field))
         tell("calibrating against a fine map of the place")
 
-    def watched(self, model: SensorModel, active: set[str]) -> dict[str, Solution]:
+    def watched(self, model: SensorCorrection, active: set[str]) -> dict[str, Solution]:
         """Add one channel at a time to what was kept, so that channels change no other estimate."""
         names = [CHANNEL + name for name in self.channels if not name.startswith(PIECE)]
         if not names:
@@ -219,7 +221,7 @@ class _Estimator:
         residual: Vectors = project(orientations.apply(self.part.readings)[None])[1][0]
         return residual
 
-    def _linearised(self, model: SensorModel, active: set[str]) -> System:
+    def _linearised(self, model: SensorCorrection, active: set[str]) -> System:
         """Columns of all active unknowns about a model."""
         poses = self.part.poses(model.time_offset)
         R = poses.orientations.as_matrix()
@@ -232,6 +234,6 @@ class _Estimator:
             field = np.einsum("nij,nj->ni", R, model.corrected(self.part.readings, self.channels))
             moved = np.einsum("nij,nj->ni", consistency.gradient(field), poses.velocity)
             drift = np.cross(poses.spin, field) - moved
-            blocks["time_offset"] = Block(drift[None], TIME_OFFSET_SD)
+            blocks["time_offset"] = ParameterBlock(drift[None], TIME_OFFSET_SD)
             y = y - model.time_offset * drift
         return System.of(y, blocks, consistency.project)

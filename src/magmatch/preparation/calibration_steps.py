@@ -6,11 +6,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from magmatch.preparation.blocks import CHANNEL
-from magmatch.preparation.calibrate_on_map import Calibration
+from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.typing import Scalars
 
 AXES = ("x", "y", "z")
@@ -20,7 +20,7 @@ NEGLIGIBLE = 0.01  # uT, %, deg
 
 
 def calibration_steps(
-    sensor_log: SensorLog | None, calibration: Calibration | None, config: PreparationConfig,
+    sensor_log: SensorLog | None, calibration: CalibrationEstimate | None, config: PreparationConfig,
     channels: Mapping[str, Scalars], why_not: str,
 ) -> list[StepReport]:  # fmt: skip
     """Reports of the time offset, hard iron, soft iron, misalignment and each channel."""
@@ -47,7 +47,7 @@ def calibration_steps(
     return steps
 
 
-def known_sensor_step(sensor: SensorModel | None) -> StepReport:
+def known_sensor_step(sensor: SensorCorrection | None) -> StepReport:
     """Report of a correction that was known before."""
     if sensor is None:
         return StepReport("known sensor", "off", "")
@@ -58,7 +58,7 @@ def known_sensor_step(sensor: SensorModel | None) -> StepReport:
     )
 
 
-def _held_out_step(calibration: Calibration) -> StepReport:
+def _held_out_step(calibration: CalibrationEstimate) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
     before, after = (value / MICROTESLA for value in calibration.held_out)
     if calibration.is_refused:
@@ -78,7 +78,7 @@ def _why_not(name: str, sensor_log: SensorLog | None, why_not: str) -> str:
     return why_not
 
 
-def _error_report(name: str, label: str, calibration: Calibration) -> StepReport:
+def _error_report(name: str, label: str, calibration: CalibrationEstimate) -> StepReport:
     """Report of one error of clock or sensor that was estimated."""
     is_kept = name in calibration.chosen.estimate and not calibration.is_refused
     solution = calibration.chosen if is_kept else calibration.full
@@ -103,7 +103,9 @@ def _error_report(name: str, label: str, calibration: Calibration) -> StepReport
     return StepReport(label, outcome, words, before / MICROTESLA, after / MICROTESLA, "uT", figures)
 
 
-def _channel_report(name: str, calibration: Calibration, values: Scalars, config: PreparationConfig) -> StepReport:
+def _channel_report(
+    name: str, calibration: CalibrationEstimate, values: Scalars, config: PreparationConfig
+) -> StepReport:
     """Report of one channel: what it adds to the readings per unit, and whether that was taken off."""
     is_removed = config.currents.mode == "remove"
     solution = calibration.watched.get(name, calibration.full)

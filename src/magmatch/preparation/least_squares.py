@@ -24,7 +24,7 @@ SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Block:
+class ParameterBlock:
     """A group of unknowns."""
 
     columns: np.ndarray  # (k, n, 3), T per unit: change of the field per unit of each unknown, survey frame
@@ -54,7 +54,7 @@ class System:
     right: np.ndarray  # (k + 1, n, 3), T
 
     @classmethod
-    def of(cls, y: np.ndarray, blocks: Mapping[str, Block], project: Projection) -> "System":
+    def of(cls, y: np.ndarray, blocks: Mapping[str, ParameterBlock], project: Projection) -> "System":
         """Project the field as read, y, and all columns; ``y + sum columns * unknowns`` shall be consistent."""
         names = tuple(name for name, block in blocks.items() for _ in block.columns)
         scale = np.array([block.sd for block in blocks.values() for _ in block.columns])

@@ -9,7 +9,7 @@ make a wrong correction look right. What is allowed beyond is what soft iron may
 import numpy as np
 
 from magmatch.data.units import ORDINARY_FIELD, field_text
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.typing import Vectors
 
 # Soft iron and unequal gains are 5 % or so. At six times that the weakest axis still has two thirds of its gain, far
@@ -21,7 +21,7 @@ MOST_TURN = 0.6
 NOISE = 0.01
 
 
-def why_no_sensor(model: SensorModel) -> str:
+def why_no_sensor(model: SensorCorrection) -> str:
     """Say why no sensor has such errors; nothing where one may."""
     # Rotations aside: stretches of a matrix without a common scale.
     stretch = np.linalg.svd(model.matrix, compute_uv=False)

@@ -15,7 +15,7 @@ from magmatch.data.document import TypedDocument
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.survey import Survey
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 
 # off: not checked. unchanged: checked, nothing to do. applied: the survey was changed. flagged: found, not changed.
 # unknown: not determined by the data.
@@ -43,7 +43,9 @@ class Correction(TypedDict):
 
 
 READ_SENSOR = GetPydanticSchema(
-    lambda _, handler: no_info_after_validator_function(SensorModel.from_dict, handler.generate_schema(Correction))
+    lambda _, handler: no_info_after_validator_function(
+        SensorCorrection.from_dict, handler.generate_schema(Correction)
+    )
 )
 
 
@@ -60,7 +62,7 @@ class PreparationReport(TypedDocument):
     steps: tuple[StepReport, ...]  # in the order they were done
     config: Mapping[str, Any]  # the resolved configuration
     # The correction as a whole, with a known one that was made first: what another log of this sensor can begin from
-    sensor: Annotated[SensorModel, READ_SENSOR]
+    sensor: Annotated[SensorCorrection, READ_SENSOR]
     inputs: tuple[Mapping[str, str], ...]  # name and SHA-256 of the files, where known
     version: str  # of the package
 
@@ -84,7 +86,7 @@ class PreparationReport(TypedDocument):
 
 
 def report_on(
-    survey: Survey, left: Survey, steps: Sequence[StepReport], sensor: SensorModel, config: PreparationConfig
+    survey: Survey, left: Survey, steps: Sequence[StepReport], sensor: SensorCorrection, config: PreparationConfig
 ) -> PreparationReport:
     """Account for what was done to a survey, of which another is left."""
     n_samples, settings = (len(survey), len(left)), config.model_dump(mode="json")

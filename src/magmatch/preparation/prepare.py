@@ -13,7 +13,7 @@ from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.earth_field import Place, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport, report_on
 from magmatch.preparation.sensor_estimate import estimate_sensor
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.preparation.survey_steps import checked_channels, find_disturbances, resampling_step, thinned
 from magmatch.progress import Progress, followed
 from magmatch.typing import Scalars
@@ -29,7 +29,7 @@ def prepare(
     trajectory: Trajectory | None = None,
     channels: Mapping[str, Scalars] | None = None,
     place: Place | None = None,
-    sensor: SensorModel | None = None,
+    sensor: SensorCorrection | None = None,
     progress: Progress | None = None,
 ) -> tuple[Survey, PreparationReport]:
     """Correct a log's clock and sensor, and report other suspicious samples.

@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from magmatch.data.sensor_axes import find_repeats
 from magmatch.preparation.blocks import CHANNEL, PIECE
-from magmatch.preparation.calibrate_on_map import Calibration
+from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.disturbances import find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.sensor_log import SensorLog
@@ -134,7 +134,9 @@ def _step(log: SensorLog, row: int) -> Vector3:
     return np.asarray(np.linalg.lstsq(design, turned, rcond=None)[0][2])
 
 
-def recalibration_step(found: Recalibrations, log: SensorLog | None, calibration: Calibration | None) -> StepReport:
+def recalibration_step(
+    found: Recalibrations, log: SensorLog | None, calibration: CalibrationEstimate | None
+) -> StepReport:
     """Report of the jumps, and of what the calibration found the pieces to differ by beside them."""
     if log is None or log.times is None:
         return StepReport("recalibration", "unknown", "needs orientations and times")

@@ -10,7 +10,7 @@ from magmatch.data.sensor_axes import find_repeats, stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
-from magmatch.preparation.calibrate_on_map import Calibration, calibrate
+from magmatch.preparation.calibrate_on_map import CalibrationEstimate, calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_saturation
@@ -18,7 +18,7 @@ from magmatch.preparation.plausible import why_no_field
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations, recalibration_step
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.typing import Indices, Mask, Scalars, Vectors
 
 # m and rad: the jitter of poses at rest. A carrier that moves or turns by less shows no error of its sensor or clock.
@@ -29,20 +29,20 @@ STILL, UNTURNED = 0.05, 0.1
 class SensorEstimate:
     """The errors of a log's clock and sensor."""
 
-    known: SensorModel | None  # correction known beforehand; `log` has it
+    known: SensorCorrection | None  # correction known beforehand; `log` has it
     log: SensorLog | None  # none without orientations, with which the sensor's errors turn
     cuts: Recalibrations  # where the phone recalibrated itself; `log` has them joined
-    calibration: Calibration | None
+    calibration: CalibrationEstimate | None
     channels: Mapping[str, Scalars]  # other channels of the log
     why_not: str = ""  # why nothing was estimated, in words
 
     @property
-    def model(self) -> SensorModel:
+    def model(self) -> SensorCorrection:
         """The model that was estimated."""
-        return SensorModel() if self.calibration is None else self.calibration.model
+        return SensorCorrection() if self.calibration is None else self.calibration.model
 
     @property
-    def whole_model(self) -> SensorModel:
+    def whole_model(self) -> SensorCorrection:
         """The model that was estimated, after what was known."""
         return self.model if self.known is None else self.model.after(self.known)
 
@@ -67,7 +67,7 @@ def estimate_sensor(
     survey: Survey,
     trajectory: Trajectory | None,
     channels: Mapping[str, Scalars],
-    known: SensorModel | None,
+    known: SensorCorrection | None,
     config: PreparationConfig,
     *,
     why_not: str = "",
@@ -132,7 +132,7 @@ def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:
 
 
 def apply_model(
-    survey: Survey, sensor_log: SensorLog | None, model: SensorModel, channels: Mapping[str, Scalars], *,
+    survey: Survey, sensor_log: SensorLog | None, model: SensorCorrection, channels: Mapping[str, Scalars], *,
     is_changed: bool,
 ) -> tuple[Survey, Indices]:  # fmt: skip
     """Correct all samples of a survey; also gives the rows that still have a pose once their stamps are moved.

@@ -12,7 +12,7 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Poses:
+class SensorPoses:
     """The poses of the sensor at the times of some readings."""
 
     positions: Points  # (n, 3), m: survey frame
@@ -70,16 +70,16 @@ class SensorLog:
             return self.positions, self.orientations
         return self.trajectory.interpolate(self.times + offset)
 
-    def poses(self, offset: float) -> Poses:
+    def poses(self, offset: float) -> SensorPoses:
         """Poses with the stamps moved by an offset, and how fast they change."""
         positions, orientations = self.at(offset)
         if self.times is None or self.trajectory is None:
             still = np.zeros_like(positions)
-            return Poses(positions, orientations, still, still)
+            return SensorPoses(positions, orientations, still, still)
         # Across one interval of the trajectory: shorter differences see only its interpolation.
         half = float(np.median(np.diff(self.trajectory.times))) / 2
         first, last = self.trajectory.times[[0, -1]]
         before, after = (np.clip(self.times + offset + step, first, last) for step in (-half, half))
         (p0, R0), (p1, R1) = self.trajectory.interpolate(before), self.trajectory.interpolate(after)
         span = np.maximum(after - before, 1e-9)[:, None]
-        return Poses(positions, orientations, (p1 - p0) / span, (R1 * R0.inv()).as_rotvec() / span)
+        return SensorPoses(positions, orientations, (p1 - p0) / span, (R1 * R0.inv()).as_rotvec() / span)

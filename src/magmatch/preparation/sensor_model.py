@@ -29,7 +29,7 @@ MISALIGNMENT_BASIS = np.array(
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class SensorModel:
+class SensorCorrection:
     """Correction of a sensor and its clock."""
 
     # (3, 3): M, sensor frame; without a common scale, which a survey alone cannot tell
@@ -40,7 +40,7 @@ class SensorModel:
     currents: Mapping[str, Vector3] = field(default_factory=dict)
 
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> "SensorModel":
+    def from_dict(cls, content: Mapping[str, Any]) -> "SensorCorrection":
         """Matrix and shift as a file holds them; ValueError where they are none."""
         matrix = np.array(content["matrix"], dtype=np.float64)
         shift = np.array(content["shift"], dtype=np.float64)
@@ -79,7 +79,7 @@ class SensorModel:
         u, _, vt = np.linalg.svd(self.soft_iron)
         return np.asarray(Rotation.from_matrix(u @ vt).as_rotvec())
 
-    def after(self, first: "SensorModel") -> "SensorModel":
+    def after(self, first: "SensorCorrection") -> "SensorCorrection":
         """Correction that makes another one first; this one's clock and currents hold."""
         return replace(
             self, matrix=self.matrix @ first.matrix, shift=np.asarray(self.matrix @ first.shift + self.shift)

@@ -12,7 +12,7 @@ from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.preparation.calibrate_on_map import Calibration
+from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import Flagging, PreparationConfig
 from magmatch.preparation.consistency import affordable
 from magmatch.preparation.disturbances import (
@@ -45,7 +45,7 @@ def thinned(
 
 @single_threaded
 def find_disturbances(
-    survey: Survey, readings: Vectors, calibration: Calibration | None, config: PreparationConfig
+    survey: Survey, readings: Vectors, calibration: CalibrationEstimate | None, config: PreparationConfig
 ) -> tuple[Mask, list[StepReport]]:
     """Choose the samples to keep, and report each kind of disturbance."""
     modes, in_order = config.disturbances, survey.times is not None
@@ -87,7 +87,9 @@ def resampling_step(survey: Survey, config: PreparationConfig) -> tuple[Survey, 
     return resampled, StepReport("resampling", "applied", words, len(survey), len(resampled), "samples")
 
 
-def _hyperparameters(survey: Survey, calibration: Calibration | None, config: PreparationConfig) -> Hyperparameters:
+def _hyperparameters(
+    survey: Survey, calibration: CalibrationEstimate | None, config: PreparationConfig
+) -> Hyperparameters:
     """Settings of the map that samples are held against."""
     if calibration is not None and not calibration.is_refused:
         h = calibration.hyperparameters

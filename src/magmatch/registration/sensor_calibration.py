@@ -13,7 +13,7 @@ from magmatch.data.units import field_text
 from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
-from magmatch.preparation.sensor_model import SensorModel
+from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.preparation.sensor_trace import turns_with_sensor
 from magmatch.progress import tell
 from magmatch.registration.index.atlas import Atlas
@@ -42,7 +42,7 @@ class Calibrated:
     """A survey with its sensor's errors corrected."""
 
     survey: Survey
-    sensor: SensorModel  # the correction
+    sensor: SensorCorrection  # the correction
 
     def as_dict(self) -> Calibration:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
@@ -69,12 +69,14 @@ def in_words(sensor: Mapping[str, Any] | None) -> dict[str, str]:
     return {side: _words(model) for side, model in _models(sensor).items()}
 
 
-def _models(sensor: Mapping[str, Any] | None) -> dict[str, SensorModel]:
+def _models(sensor: Mapping[str, Any] | None) -> dict[str, SensorCorrection]:
     stated = (sensor or {}).get("calibrated") or {}
-    return {side: replace(SensorModel.from_dict(one), time_offset=one["time_offset"]) for side, one in stated.items()}
+    return {
+        side: replace(SensorCorrection.from_dict(one), time_offset=one["time_offset"]) for side, one in stated.items()
+    }
 
 
-def _words(model: SensorModel) -> str:
+def _words(model: SensorCorrection) -> str:
     hard_iron, stretch = float(np.linalg.norm(model.hard_iron)), np.linalg.svd(model.soft_iron)[1]
     turn = float(np.linalg.norm(model.misalignment))
     parts = {

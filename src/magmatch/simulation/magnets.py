@@ -17,7 +17,7 @@ _PAIRS_AT_ONCE = 400_000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Box:
+class Cuboid:
     """A uniformly magnetised cuboid: a block magnet, or a steel cabinet seen as one."""
 
     center: Vector3  # (3,), m: world frame
@@ -45,7 +45,7 @@ class Dipole:
     moment: Vector3  # (3,), A m^2: world frame
 
 
-Source = Box | Cylinder | Dipole
+Source = Cuboid | Cylinder | Dipole
 
 
 def field_of(sources: Sequence[Source], points: Points) -> Vectors:
@@ -85,7 +85,7 @@ def distance_to(source: Source, points: Points) -> Scalars:
     if isinstance(source, Dipole):
         return np.asarray(np.linalg.norm(offset, axis=1))
     local = offset @ source.rotation.as_matrix()
-    if isinstance(source, Box):
+    if isinstance(source, Cuboid):
         beyond = np.abs(local) - source.size / 2
     else:
         radial = np.hypot(local[:, 0], local[:, 1]) - source.diameter / 2
@@ -105,6 +105,6 @@ def _body(magpylib: ModuleType, source: Source) -> Any:
     if isinstance(source, Dipole):
         return magpylib.misc.Dipole(position=source.center, moment=source.moment)
     pose = {"position": source.center, "orientation": source.rotation, "polarization": source.polarization}
-    if isinstance(source, Box):
+    if isinstance(source, Cuboid):
         return magpylib.magnet.Cuboid(dimension=source.size, **pose)
     return magpylib.magnet.Cylinder(dimension=(source.diameter, source.height), **pose)

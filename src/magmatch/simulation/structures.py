@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.simulation.magnets import Box, Cylinder, Source, distance_to, field_of, strengthened
+from magmatch.simulation.magnets import Cuboid, Cylinder, Source, distance_to, field_of, strengthened
 from magmatch.typing import Points, Vector3
 
 # Sources per square metre of wall, floor and ceiling: cabinets, girders, pipes and rebar of an office.
@@ -50,7 +50,7 @@ def inside_box(low: Vector3, high: Vector3, n: int, rng: np.random.Generator) ->
         reach = np.hypot(size[0], size[1])
         margin = np.minimum(np.array([reach, reach, size[2]]), high - low) / 2
         rotation = Rotation.from_euler("z", rng.uniform(-np.pi, np.pi))
-        sources.append(Box(rng.uniform(low + margin, high - margin), size, _polarization(rotation, rng), rotation))
+        sources.append(Cuboid(rng.uniform(low + margin, high - margin), size, _polarization(rotation, rng), rotation))
     return sources
 
 
@@ -64,7 +64,7 @@ def under_table(size: tuple[float, float], depth: float, n: int, rng: np.random.
         remanence = rng.uniform(0.15, 0.4)
         tilt = rng.normal(scale=0.1, size=2)
         sources.append(
-            Box(
+            Cuboid(
                 center,
                 rng.uniform((0.012, 0.012, 0.004), (0.025, 0.02, 0.006)),
                 remanence * np.array([tilt[0], tilt[1], 1.0]),
@@ -147,7 +147,7 @@ def _against_wall(foot: Vector3, normal: Vector3, rng: np.random.Generator) -> S
     rotation = Rotation.from_matrix(np.column_stack([u, v, normal]))
     smallest, largest, strength = _BODIES[kind]
     size = rng.uniform(smallest, largest)
-    return Box(foot + normal * size[2] / 2, size, strength * _polarization(rotation, rng), rotation)
+    return Cuboid(foot + normal * size[2] / 2, size, strength * _polarization(rotation, rng), rotation)
 
 
 def _polarization(rotation: Rotation, rng: np.random.Generator) -> Vector3:

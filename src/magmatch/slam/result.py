@@ -138,7 +138,7 @@ class LogOdometry(TypedDict):
     recalibrations: list[Recalibration]  # of the magnetometer by itself, on the way
 
 
-class Odometry(TypedDict, total=False):
+class DriftResult(TypedDict, total=False):
     """The drift of the odometry, and its constant errors by log."""
 
     sd: tuple[Number, Number]  # m and degrees, of a walk of 10 m: as stated, or as the closures show it
@@ -175,7 +175,7 @@ class SlamResult(TypedDocument):
     logs: tuple[LogResult, ...]
     closures: tuple[ClosureResult, ...] = ()
     anchors: tuple[AnchorResult, ...] = ()
-    odometry: Odometry = field(default_factory=Odometry)
+    odometry: DriftResult = field(default_factory=DriftResult)
     seconds: dict[str, NumberOrNull] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     version: str = ""

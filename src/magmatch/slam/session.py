@@ -39,7 +39,7 @@ from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.loop_search import KINDS
 from magmatch.slam.places import Places
-from magmatch.slam.result import LogResult, Odometry, SlamResult, SlamStatus
+from magmatch.slam.result import DriftResult, LogResult, SlamResult, SlamStatus
 from magmatch.slam.slam import correct, correct_more
 from magmatch.slam.statement import explain, state_anchors, state_closure, state_odometry
 from magmatch.slam.windows import Path, Window
@@ -305,7 +305,9 @@ class Session:
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             state_anchors(anchors, self.graph, names),
-            Odometry() if self.is_rigid else state_odometry(self.graph, self._now.biases, self._as_measured(), names),
+            DriftResult()
+            if self.is_rigid
+            else state_odometry(self.graph, self._now.biases, self._as_measured(), names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,

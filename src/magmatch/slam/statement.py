@@ -11,7 +11,7 @@ from magmatch.geometry import adjoint
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.result import AnchorResult, ClosureResult, LogOdometry, Odometry, Recalibration, SlamStatus
+from magmatch.slam.result import AnchorResult, ClosureResult, DriftResult, LogOdometry, Recalibration, SlamStatus
 from magmatch.slam.sensor_bias import recalibrations_of
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Vector3
@@ -64,10 +64,10 @@ def state_anchors(
 
 def state_odometry(
     graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], logs: Sequence[Survey], names: Sequence[str]
-) -> Odometry:
+) -> DriftResult:
     """The drift of the odometry, and each log's constant errors."""
     each = zip(names, graph.lasting.tolist(), biases, map(_state_recalibrations, logs), strict=True)
-    return Odometry(
+    return DriftResult(
         sd=graph.config.odometry.sd,
         logs={
             name: LogOdometry(

@@ -52,7 +52,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Scene:
+class RerunScene:
     """Everything that a recording shows."""
 
     parts: tuple[Part, ...]  # with a registration: base and target
@@ -96,7 +96,7 @@ class Scene:
         return np.stack([ends.base[rows] - base, moved], axis=1).astype(np.float32)
 
 
-def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> Scene:
+def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> RerunScene:
     """Assemble what a recording shows; with a result, its base and its target."""
     surveys = [survey_of(item) for item in drawn]
     names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
@@ -110,7 +110,7 @@ def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | No
     if T_base_target is not None:
         T_base, T_target = (RigidTransform.from_translation(origin) for origin in origins)
         T_base_target = T_base.inv() * T_base_target * T_target
-    return Scene(parts, origins, T_base_target, result, limits)
+    return RerunScene(parts, origins, T_base_target, result, limits)
 
 
 def require_rerun() -> ModuleType:
@@ -118,7 +118,7 @@ def require_rerun() -> ModuleType:
     return import_extra("rerun", "a Rerun recording", "rerun")
 
 
-def write_rerun(path: str | Path, shown: Scene) -> None:
+def write_rerun(path: str | Path, shown: RerunScene) -> None:
     """Write a scene for the Rerun viewer (.rrd), whole or not at all."""
     with _recording(path, shown) as (rr, recording):
         _log_registration(rr, recording, shown)
@@ -145,7 +145,7 @@ def write_session_rerun(path: str | Path, session: Session) -> None:
 
 
 @contextmanager
-def _recording(path: str | Path, shown: Scene) -> Iterator[tuple[ModuleType, Any]]:
+def _recording(path: str | Path, shown: RerunScene) -> Iterator[tuple[ModuleType, Any]]:
     """A recording of a scene to which more can be added, and which is then written."""
     rr = require_rerun()
     recording = rr.RecordingStream("magmatch")
@@ -160,7 +160,7 @@ def _recording(path: str | Path, shown: Scene) -> Iterator[tuple[ModuleType, Any
         stream.write(content)
 
 
-def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part, origin: Vector3) -> None:
+def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, origin: Vector3) -> None:
     """Samples, and the map on a cut."""
     low, high = box_of(shown)
     size = float(np.linalg.norm(high - low))
@@ -192,7 +192,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: Scene, part: Part, origin: 
         recording.log(_path(rr, part.name, "cut"), mesh, static=True)
 
 
-def _log_registration(rr: ModuleType, recording: Any, shown: Scene) -> None:
+def _log_registration(rr: ModuleType, recording: Any, shown: RerunScene) -> None:
     """The target's frame on its way, and the links that shrink with it."""
     if shown.T_base_target is None:
         return
@@ -228,7 +228,7 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
     return np.stack([np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T], axis=1)
 
 
-def box_of(shown: Scene) -> tuple[np.ndarray, np.ndarray]:
+def box_of(shown: RerunScene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner of all parts, the target where it belongs, as recorded."""
     p = [part.survey.positions[thinned(len(part.survey), 2000)] - origin for part, origin in shown.placed]
     if shown.T_base_target is not None:

@@ -12,7 +12,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice import choose_prior as choice
 from magmatch.field.prior_choice.choose_hyperparameters import choose_all_numbers
-from magmatch.field.prior_choice.cross_validation import Candidate, compare, compare_on_the_rest
+from magmatch.field.prior_choice.cross_validation import PriorCandidate, compare, compare_on_the_rest
 from magmatch.field.priors import DENSE_PRIORS, PRIORS
 from magmatch.field.variogram import typical_length
 
@@ -76,25 +76,25 @@ def test_too_few_samples_to_compare_take_the_spline():
 
 def test_only_a_clear_margin_leaves_the_spline():
     rng = np.random.default_rng(0)
-    spline = Candidate("spline", H, rng.normal(size=40))
-    better = Candidate("harmonic", H, spline.log_errors - 0.2 + 0.1 * rng.normal(size=40))
-    by_chance = Candidate("curl_free", H, spline.log_errors - 0.3 + 1.0 * rng.normal(size=40))
-    hardly = Candidate("divergence_free", H, spline.log_errors - 0.001)
+    spline = PriorCandidate("spline", H, rng.normal(size=40))
+    better = PriorCandidate("harmonic", H, spline.log_errors - 0.2 + 0.1 * rng.normal(size=40))
+    by_chance = PriorCandidate("curl_free", H, spline.log_errors - 0.3 + 1.0 * rng.normal(size=40))
+    hardly = PriorCandidate("divergence_free", H, spline.log_errors - 0.001)
     assert choice.best([spline, hardly, by_chance]).name == "spline"
     assert choice.best([spline, better, hardly]).name == "harmonic"
-    few = [Candidate(name, H, spline.log_errors[:3] - k) for k, name in enumerate(("spline", "harmonic"))]
+    few = [PriorCandidate(name, H, spline.log_errors[:3] - k) for k, name in enumerate(("spline", "harmonic"))]
     assert choice.best(few).name == "spline"
 
 
 def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
     scatter = np.tile([-1.0, 1.0], 20)
-    spline = Candidate("spline", H, np.zeros(40))
+    spline = PriorCandidate("spline", H, np.zeros(40))
     # The mean of 40 such differences is known to 0.16.
     for gain in (-0.1, 0.1, 0.2):
-        ahead = choice.lead(Candidate("harmonic", H, scatter - gain), spline)
+        ahead = choice.lead(PriorCandidate("harmonic", H, scatter - gain), spline)
         np.testing.assert_allclose(ahead, gain / 0.16, rtol=0.02)
-    few = Candidate("harmonic", H, spline.log_errors[:5] + 9)
-    assert choice.lead(few, Candidate("spline", H, np.zeros(5))) == np.inf
+    few = PriorCandidate("harmonic", H, spline.log_errors[:5] + 9)
+    assert choice.lead(few, PriorCandidate("spline", H, np.zeros(5))) == np.inf
 
 
 def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monkeypatch):
@@ -120,9 +120,9 @@ def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monke
 
 def test_further_parts_are_asked_only_where_they_may_change_what_is_taken():
     scatter = np.tile([-1.0, 1.0], 20)
-    spline = Candidate("spline", H, np.zeros(40))
-    clear = Candidate("harmonic", H, 0.01 * scatter - 0.3)
-    behind, ahead = (Candidate("curl_free", H, 3.0 * scatter - gain) for gain in (0.2, 0.4))
+    spline = PriorCandidate("spline", H, np.zeros(40))
+    clear = PriorCandidate("harmonic", H, 0.01 * scatter - 0.3)
+    behind, ahead = (PriorCandidate("curl_free", H, 3.0 * scatter - gain) for gain in (0.2, 0.4))
     assert not choice.is_undecided([spline])
     assert not choice.is_undecided([spline, clear])
     assert not choice.is_undecided([spline, behind, clear])

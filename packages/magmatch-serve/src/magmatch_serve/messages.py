@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from magmatch.data.document import adapter_of
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import first_fault
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.samples import unit_rows
 from magmatch.number_text import told
 from magmatch_serve.refusals import RefusedError
@@ -129,7 +129,7 @@ def write_sample(t: float, p: np.ndarray, q: np.ndarray, b: np.ndarray) -> bytes
     return np.array([(t, (*p, *q, *b))], SAMPLE).tobytes()
 
 
-def pose_document(n: int, t: float, now: Estimate) -> dict[str, Any]:
+def pose_document(n: int, t: float, now: PoseEstimate) -> dict[str, Any]:
     """An estimate after n samples as a JSON answer; without a pose where none is stated."""
     said: dict[str, Any] = {
         "type": "pose", "n": n, "t": t, "status": now.status.value, "reason": now.reason,
@@ -140,7 +140,7 @@ def pose_document(n: int, t: float, now: Estimate) -> dict[str, Any]:
     return said
 
 
-def write_pose(n: int, t: float, now: Estimate, *, binary: bool) -> str | bytes:
+def write_pose(n: int, t: float, now: PoseEstimate, *, binary: bool) -> str | bytes:
     """An estimate after n samples as an answer."""
     if not binary:
         return json.dumps(pose_document(n, t, now), allow_nan=False)

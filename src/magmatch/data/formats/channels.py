@@ -22,7 +22,7 @@ MAX_CHANNELS = 64
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Channel:
+class TimeSeries:
     """Numbers over time."""
 
     # (n,), s: on the survey's clock, not decreasing; None where values stand row by row beside the samples
@@ -34,7 +34,7 @@ class Channel:
 class Channels:
     """The numbers of a log beside field and poses."""
 
-    by_name: Mapping[str, Channel] = field(default_factory=dict)
+    by_name: Mapping[str, TimeSeries] = field(default_factory=dict)
 
     def at(self, times: Scalars | None, n: int) -> dict[str, Scalars]:
         """Values for the samples of a survey: by time where there is one, else row by row."""
@@ -60,7 +60,7 @@ def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
     else:
         return NO_CHANNELS
     times = times if layout.rate is None else None
-    return Channels({name: Channel(times, values) for name, values in columns.items()})
+    return Channels({name: TimeSeries(times, values) for name, values in columns.items()})
 
 
 def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dict[str, Scalars]]:

@@ -14,7 +14,7 @@ from magmatch.data.logs.decode import ENCODINGS, decode
 from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
 from magmatch.data.logs.log import Log, Topic, batches
 from magmatch.data.logs.messages import TREES, Entries, Frames
-from magmatch.data.logs.streams import Stream, read_streams
+from magmatch.data.logs.streams import TopicStream, read_streams
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ def trees(topics: Iterable[Topic]) -> list[Topic]:
     return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
 
 
-def merged(streams: Sequence[Stream]) -> dict[Frames, Entries]:
+def merged(streams: Sequence[TopicStream]) -> dict[Frames, Entries]:
     """Edges of several topics; one that several have is taken from the first."""
     return {frames: part for stream in reversed(streams) for frames, part in stream.entries.items()}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from magmatch.data.formats.channels import MAX_CHANNELS, Channel, Channels
+from magmatch.data.formats.channels import MAX_CHANNELS, Channels, TimeSeries
 from magmatch.data.logs.decode import ENCODINGS, decode
 from magmatch.data.logs.log import Log, Topic, batches, printable
 from magmatch.data.tables.nanoseconds import seconds_of
@@ -56,13 +56,13 @@ def read_numbers(log: Log, topics: Sequence[Topic], delay_ns: float) -> Channels
     return Channels({name: channel for name, channel in joined.items() if len(channel.values)})
 
 
-def _joined(parts: Sequence[tuple[Indices, Scalars]], delay_ns: float) -> Channel:
+def _joined(parts: Sequence[tuple[Indices, Scalars]], delay_ns: float) -> TimeSeries:
     """One channel in the order of time, without NaN and infinity."""
     log_ns = np.concatenate([part[0] for part in parts]) - round(delay_ns)
     values = np.concatenate([part[1] for part in parts])
     order = np.argsort(log_ns, kind="stable")
     order = order[np.isfinite(values[order])]
-    return Channel(seconds_of(log_ns[order].tolist()), values[order])
+    return TimeSeries(seconds_of(log_ns[order].tolist()), values[order])
 
 
 def _named(kind: str, content: dict[str, Any] | str, n: int) -> Iterator[tuple[str, Indices, Scalars]]:

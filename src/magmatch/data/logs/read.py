@@ -21,7 +21,7 @@ from magmatch.data.logs.messages import Entries, Frames
 from magmatch.data.logs.mount import find_mount, is_static, merged, trees, with_description
 from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import open_log
-from magmatch.data.logs.streams import Stream, in_order, read_streams, settle_clock
+from magmatch.data.logs.streams import TopicStream, in_order, read_streams, settle_clock
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
@@ -84,7 +84,7 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     ).carried(extrinsic)
 
 
-def _poses(path: Path, layout: SurveyFormat, stream: Stream | None, tree: FrameTree, sensor: str) -> Poses:
+def _poses(path: Path, layout: SurveyFormat, stream: TopicStream | None, tree: FrameTree, sensor: str) -> Poses:
     """Poses from another file, from a topic, or from the tree of frames."""
     metre = METRE_PER_UNIT[layout.length_unit]
     if layout.trajectory is not None:
@@ -122,7 +122,7 @@ def _extrinsic(
     return find_mount(log, topics, tree, poses.fixed, poses.body, sensor)
 
 
-def _of_one_frame(path: Path, stream: Stream) -> Entries:
+def _of_one_frame(path: Path, stream: TopicStream) -> Entries:
     """The entries of a topic that should speak of one thing; others are counted."""
     entries = stream.largest
     n, n_other = len(entries.number), len(stream) - len(entries.number)

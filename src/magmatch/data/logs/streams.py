@@ -24,7 +24,7 @@ ODD_DELAY_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Stream:
+class TopicStream:
     """Whole messages of one topic, by the frames they name."""
 
     topic: Topic
@@ -38,7 +38,7 @@ class Stream:
         """The entries of the frames that most messages name; of equal ones the first by name."""
         return min(self.entries.values(), key=lambda part: (-len(part.number), part.frames))
 
-    def changed(self, change: Callable[[Entries], Entries]) -> "Stream":
+    def changed(self, change: Callable[[Entries], Entries]) -> "TopicStream":
         """The stream with all its entries changed; frames that are left without any go."""
         entries = {frames: change(part) for frames, part in self.entries.items()}
         return replace(self, entries={frames: part for frames, part in entries.items() if len(part.number)})
@@ -46,7 +46,7 @@ class Stream:
 
 def read_streams(
     log: Log, topics: Sequence[Topic], *, recover: bool, thin: Callable[[Entries], Entries] | None = None
-) -> list[Stream]:
+) -> list[TopicStream]:
     """Read the whole messages of some topics in one pass over the log.
 
     DataFormatError names the first message that is damaged or holds no numbers; with `recover` these are left out.
@@ -60,10 +60,10 @@ def read_streams(
     return [_stream(log.path, topic, decoders[topic.channel], recover=recover) for topic in topics]
 
 
-def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> Stream:
+def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> TopicStream:
     """Give what was decoded, or raise the first fault."""
     faults = decoder.faults
-    stream = Stream(topic, decoder.entries()).changed(lambda part: _whole(part, faults))
+    stream = TopicStream(topic, decoder.entries()).changed(lambda part: _whole(part, faults))
     if faults:
         (first, fault), n = min(faults), len({number for number, _ in faults})
         words = f"{topic.name}, message {first}: {fault}"
@@ -93,7 +93,7 @@ def _whole(part: Entries, faults: list[Fault]) -> Entries:
     return part.at(is_turn)
 
 
-def settle_clock(path: Path, streams: Sequence[Stream]) -> list[Stream]:
+def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream]:
     """Streams to be joined, with the times to use in ``stamp_ns``: header stamps, or log times for all.
 
     Log times are used where the headers of one stream have no stamps.
@@ -171,6 +171,6 @@ def _has_stamp(part: Entries) -> np.ndarray:
     return np.asarray((part.stamp_ns > 0) | ((part.stamp_ns == 0) & (part.log_ns == 0)))
 
 
-def _delay_ns(stream: Stream) -> float:
+def _delay_ns(stream: TopicStream) -> float:
     delays = [part.log_ns - part.stamp_ns for part in stream.entries.values()]
     return float(np.median(np.concatenate(delays))) if delays else 0.0

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.marginal_likelihood import choose_samples
-from magmatch.field.linear_model import LinearModel, Posterior, Prior
+from magmatch.field.linear_model import FieldPosterior, LinearModel, Prior
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # A field that varies less is taken as constant: well below the rounding of any recording, T.
@@ -43,7 +43,7 @@ def calibrated(
     model = prior.build(points, field, h) if model is None else model
     everything = model.observe(few, values)
 
-    def without(fold: Mask) -> Posterior:
+    def without(fold: Mask) -> FieldPosterior:
         return model.infer(everything - model.observe(few[fold], values[fold]))
 
     honest = widened(h, few, values, folds, without)
@@ -52,7 +52,7 @@ def calibrated(
     return replace(honest, inflation=max(honest.inflation, least))
 
 
-def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> float:
+def misfit_inflation(points: Points, field: Vectors, posterior: FieldPosterior) -> float:
     """Factor on a posterior's standard deviation that accounts for what the model cannot represent.
 
     Noise is independent between samples: a correlation between residuals of nearest neighbours is misfit, such as
@@ -72,7 +72,7 @@ def misfit_inflation(points: Points, field: Vectors, posterior: Posterior) -> fl
 
 
 def widened(
-    h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit_without: Callable[[Mask], Posterior]
+    h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit_without: Callable[[Mask], FieldPosterior]
 ) -> Hyperparameters:
     """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
 

@@ -19,7 +19,7 @@ from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.prior_choice.choose_hyperparameters import choose_all_numbers, given_numbers
-from magmatch.field.prior_choice.cross_validation import N_COMPARED, Candidate, compare, compare_on_the_rest
+from magmatch.field.prior_choice.cross_validation import N_COMPARED, PriorCandidate, compare, compare_on_the_rest
 from magmatch.field.priors import DENSE_PRIORS, prior_over
 from magmatch.field.subset import choose_part
 from magmatch.field.variogram import typical_length
@@ -48,7 +48,7 @@ def choose_prior(
     names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds))]
     # Chosen once, from all samples: a part would not show what a prior cannot afford to represent on the whole.
     known = choose_all_numbers(names, samples, config, box)
-    taken, compared = Candidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
+    taken, compared = PriorCandidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
     if len(known) > 1 and folds.is_path and len(samples) > 2 * _N_QUALIFYING:
         part = _qualifying(samples)
         compared = compare(known, part, divide(part.positions, length), box)
@@ -82,14 +82,14 @@ def _is_possible(name: str, samples: Survey, folds: Folds) -> bool:
     return False
 
 
-def best(candidates: list[Candidate]) -> Candidate:
+def best(candidates: list[PriorCandidate]) -> PriorCandidate:
     """The preferred prior, unless others are clearly better: then the best of those."""
     preferred = candidates[0]
     better = [other for other in candidates[1:] if _is_clearly_better(other, preferred)]
     return min(better, key=lambda candidate: candidate.error, default=preferred)
 
 
-def best_possible(candidates: list[Candidate], samples: Survey) -> Candidate:
+def best_possible(candidates: list[PriorCandidate], samples: Survey) -> PriorCandidate:
     """The best one whose field is possible; what predicts held-out stretches may be absurd beside all of them."""
     while (taken := best(candidates)) is not candidates[0] and taken.fitted is not None:
         model, everything = taken.fitted
@@ -101,14 +101,14 @@ def best_possible(candidates: list[Candidate], samples: Survey) -> Candidate:
     return taken
 
 
-def is_undecided(candidates: list[Candidate]) -> bool:
+def is_undecided(candidates: list[PriorCandidate]) -> bool:
     """Whether one is ahead of all that would be taken, but not clearly ahead of the preferred one."""
     taken = best(candidates)
     ahead = (other for other in candidates if len(other.log_errors) > 0 and other.error < taken.error)
     return any(not _is_clearly_better(other, candidates[0]) for other in ahead)
 
 
-def lead(other: Candidate, preferred: Candidate) -> float:
+def lead(other: PriorCandidate, preferred: PriorCandidate) -> float:
     """By how many standard errors of the parts' mean a prior is ahead; infinite where too few parts tell nothing."""
     gain = preferred.log_errors - other.log_errors
     if len(gain) < FEWEST_PARTS:
@@ -116,6 +116,6 @@ def lead(other: Candidate, preferred: Candidate) -> float:
     return float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), np.finfo(float).tiny))
 
 
-def _is_clearly_better(other: Candidate, preferred: Candidate) -> bool:
+def _is_clearly_better(other: PriorCandidate, preferred: PriorCandidate) -> bool:
     gain = preferred.log_errors - other.log_errors
     return len(gain) >= FEWEST_PARTS and gain.mean() > LEAST_GAIN and lead(other, preferred) > LEAST_T

@@ -25,7 +25,7 @@ N_COMPARED, _FEWEST_IN_PART = 2500, 3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Candidate:
+class PriorCandidate:
     """A prior with its numbers, not yet calibrated, and the logarithm of its rms error (T) on each held-out part.
 
     ``fitted``: its model over the samples that are compared, and the information in all of them.
@@ -44,10 +44,10 @@ class Candidate:
 
 def compare(
     numbers: Mapping[str, Hyperparameters], samples: Survey, folds: Folds, box: Box | None
-) -> list[Candidate]:
+) -> list[PriorCandidate]:
     """How priors with these numbers do on the same samples; the first one must be possible, others may fail."""
     few, left_out, part = _thinned(samples, folds, folds.left_out)
-    compared: list[Candidate] = []
+    compared: list[PriorCandidate] = []
     for k, (name, h) in enumerate(numbers.items()):
         tell(f"comparing prior {name}", k / len(numbers))
         try:
@@ -60,11 +60,11 @@ def compare(
                 raise
             log.info("prior %s is not compared: %s", name, error)
         else:
-            compared.append(Candidate(name, h, errors, (model, everything)))
+            compared.append(PriorCandidate(name, h, errors, (model, everything)))
     return compared
 
 
-def compare_on_the_rest(candidates: list[Candidate], samples: Survey, folds: Folds) -> list[Candidate]:
+def compare_on_the_rest(candidates: list[PriorCandidate], samples: Survey, folds: Folds) -> list[PriorCandidate]:
     """The same with the errors of all parts of the survey instead of some."""
     few, left_out, part = _thinned(samples, folds, folds.rest)
     out = []

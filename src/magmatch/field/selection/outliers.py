@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
-from magmatch.field.linear_model import Posterior
+from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.values import gradient_norm, gradient_of
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
@@ -50,7 +50,7 @@ LITTLE_POWER = 0.2
 LARGEST_SHARE_AT_FIRST = 0.3
 
 
-def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
+def find_outliers(samples: Survey, posterior: FieldPosterior) -> Mask:
     """Samples whose residual is large and unlike those of their neighbours."""
     points, field = samples.positions, samples.field
     is_out = np.zeros(len(samples), dtype=bool)
@@ -77,13 +77,13 @@ def find_outliers(samples: Survey, posterior: Posterior) -> Mask:
     return is_out
 
 
-def hardly_moved(samples: Survey, posterior: Posterior, rows: Mask) -> bool:
+def hardly_moved(samples: Survey, posterior: FieldPosterior, rows: Mask) -> bool:
     """Whether some samples have so small a share of the squared residuals that they hardly affected the fit."""
     power = ((samples.field - posterior.evaluate(samples.positions).field) ** 2).sum(axis=1)
     return bool(power[rows].sum() / max(power.sum(), np.finfo(float).tiny) < LITTLE_POWER)
 
 
-def robust_residuals(posterior: Posterior, points: Points, residual: Vectors, noise: float) -> Vectors:
+def robust_residuals(posterior: FieldPosterior, points: Points, residual: Vectors, noise: float) -> Vectors:
     """Residuals of samples without the influence of those that stand out, without fitting again."""
     influence, left = posterior.influence(points), residual
     for _ in range(ROUNDS):
@@ -104,7 +104,9 @@ def reweighted_residuals(influence: Matrix, residual: Vectors, weights: Scalars)
     return left
 
 
-def _doubtful(points: Points, residual: Vectors, is_large: Mask, noise: float, posterior: Posterior) -> list[Indices]:
+def _doubtful(
+    points: Points, residual: Vectors, is_large: Mask, noise: float, posterior: FieldPosterior
+) -> list[Indices]:
     """Samples in doubt around large residuals, in groups that bear on one another and are small enough."""
     doubtful = np.flatnonzero(_sizes(residual) > SOFT * noise)
     distance = cKDTree(points[is_large]).query(points[doubtful])[0]
@@ -124,14 +126,14 @@ def _sizes(residual: Vectors) -> Scalars:
     return np.asarray(np.linalg.norm(residual, axis=1))
 
 
-def _noise(residual: Vectors, posterior: Posterior) -> float:
+def _noise(residual: Vectors, posterior: FieldPosterior) -> float:
     """Spread of ordinary residuals of one component, T."""
     typical = float(np.median(_sizes(residual))) / MEDIAN_LENGTH
     h = posterior.hyperparameters
     return max(typical, LEAST_SHARE_OF_NOISE * h.noise_sd, LEAST_SHARE_OF_SIGNAL * h.signal_sd)
 
 
-def _may_be_fine_structure(points: Points, residual: Vectors, posterior: Posterior) -> Mask:
+def _may_be_fine_structure(points: Points, residual: Vectors, posterior: FieldPosterior) -> Mask:
     """Whether the field changes by as much as these residuals within a small part of the spacing."""
     steepness = gradient_norm(gradient_of(posterior.evaluate(points, order=1)))
     return np.asarray(_sizes(residual) < LEAST_SHIFT * posterior.hyperparameters.spacing * steepness)

@@ -9,7 +9,7 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky.cells import count_active_cells, lay_cells
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Index, Posterior, StoredTile
+from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.spline.spline_model import WHOLE, SplineModel, SplinePosterior
 from magmatch.field.tiles.tile_fit import TileTasks, fit_weights
 from magmatch.field.tiles.tiled_model import TiledModel
@@ -66,7 +66,7 @@ def fit_operations(points: Points, hyperparameters: Hyperparameters) -> float:
         return np.inf
 
 
-def tiles_to_store(posterior: Posterior, points: Points, field: Vectors) -> dict[Index, StoredTile]:
+def tiles_to_store(posterior: FieldPosterior, points: Points, field: Vectors) -> dict[Index, StoredTile]:
     """What to store of a posterior of these samples, so that it need not be fitted again; of other priors nothing."""
     weights = posterior.weights_by_tile
     if not weights:

@@ -18,7 +18,7 @@ from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked
 from magmatch.localization.belief import BIN_LENGTH
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.hindsight.stretches import agreement, believed, offsets, stacked
 from magmatch.localization.known_places import KnownPlaces, Place
@@ -49,9 +49,9 @@ def smooth(place: Place, walk: Survey, config: LocalizerConfig | None = None) ->
     return replace(there, estimates=joined, seconds=seconds, places=places)
 
 
-def _only(estimates: Sequence[Estimate], stands: Mask) -> list[Estimate]:
+def _only(estimates: Sequence[PoseEstimate], stands: Mask) -> list[PoseEstimate]:
     """Estimates without the poses that do not stand."""
-    lost = Estimate(LocalizerStatus.LOST, REFUTED)
+    lost = PoseEstimate(LocalizerStatus.LOST, REFUTED)
     return [lost if e.is_stated and not ok else e for e, ok in zip(estimates, stands, strict=True)]
 
 
@@ -67,10 +67,10 @@ def reversed_log(walk: Survey) -> Survey:
     )
 
 
-def join(forward: Sequence[Estimate], backward: Sequence[Estimate]) -> list[Estimate]:
+def join(forward: Sequence[PoseEstimate], backward: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     """Fuse the estimates of both directions; where they contradict each other, state nothing."""
     both, agree = agreement(forward, backward)
-    refuted = Estimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
+    refuted = PoseEstimate(LocalizerStatus.LOST, "the path before and the path behind contradict each other")
     joined = []
     for n, (pair, contradicts) in enumerate(zip(zip(forward, backward, strict=True), both & ~agree, strict=True)):
         # What else is said is that of the direction with more of the path behind it.

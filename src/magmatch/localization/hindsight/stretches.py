@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_from_product
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.typing import Mask, Scalars
 
 # Squared distance (chi^2 of six, one in 10,000) from which on two estimates contradict each other.
@@ -22,7 +22,7 @@ NONE = (np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class TrustedSpan:
     """Rows ``first`` to ``last`` (inclusive), in the direction of travel: one place, trusted throughout."""
 
     first: int
@@ -35,19 +35,19 @@ class Stretch:
         return slice(self.first, self.last + 1)
 
 
-def stretches(estimates: Sequence[Estimate]) -> list[Stretch]:
+def stretches(estimates: Sequence[PoseEstimate]) -> list[TrustedSpan]:
     """Stretches in which poses are stated; a pose that only became too uncertain contradicts nothing."""
     found, first, last = [], -1, len(estimates) - 1
     for n, e in enumerate(estimates):
         if e.is_stated and first < 0:
             first = n
         if first >= 0 and (n == last or not estimates[n + 1].is_stated or estimates[n + 1].map != e.map):
-            found.append(Stretch(first, n, n < last and not estimates[n + 1].is_place_known))
+            found.append(TrustedSpan(first, n, n < last and not estimates[n + 1].is_place_known))
             first = -1
     return found
 
 
-def agreement(a: Sequence[Estimate], b: Sequence[Estimate]) -> tuple[Mask, Mask]:
+def agreement(a: Sequence[PoseEstimate], b: Sequence[PoseEstimate]) -> tuple[Mask, Mask]:
     """Tell where both directions state a pose, and where these agree: (n,) each."""
     both = np.array([x.is_stated and y.is_stated for x, y in zip(a, b, strict=True)], dtype=np.bool_)
     agree = both & [x.map == y.map for x, y in zip(a, b, strict=True)]
@@ -58,7 +58,7 @@ def agreement(a: Sequence[Estimate], b: Sequence[Estimate]) -> tuple[Mask, Mask]
     return both, agree
 
 
-def stacked(stated: Sequence[Estimate]) -> tuple[RigidTransform, np.ndarray]:
+def stacked(stated: Sequence[PoseEstimate]) -> tuple[RigidTransform, np.ndarray]:
     """Stated poses ``T_map_body`` (m,) and their covariances (m, 6, 6)."""
     found = [(e.matrix, e.covariance) for e in stated if e.matrix is not None and e.covariance is not None]
     matrices, covariances = (np.array(column) for column in zip(*found, strict=True)) if found else NONE
@@ -71,7 +71,7 @@ def offsets(T_map_a: RigidTransform, T_map_b: RigidTransform) -> np.ndarray:
     return xi
 
 
-def believed(estimates: Sequence[Estimate], both: Mask, agree: Mask, steps: Scalars, tested: float) -> Mask:
+def believed(estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: Scalars, tested: float) -> Mask:
     """Rows whose poses stand, (n,), of estimates in the direction of travel; ``steps``: path from the row before (m).
 
     Where both directions state poses and mostly disagree, one of the stretches is wrong, and nothing says which. One

@@ -26,7 +26,7 @@ class Priors(NamedTuple):
     length: float
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Where the loops put what they work on: normal equations; of one bin what was looked up, slopes, vectors."""
 
     A: np.ndarray
@@ -43,7 +43,7 @@ class Room(NamedTuple):
 @compiled
 def refine_all(x, stretch, ground, schedule, priors, cost):  # type: ignore[no-untyped-def]
     """Gauss-Newton on rows of x: place (3), heading, scale, bias (3); their costs, UNKNOWN outside the map."""
-    room = Room(
+    room = Workspace(
         np.zeros((8, 8)), np.zeros(8), np.zeros((3, 3)), np.zeros(13), np.zeros((3, 8)),
         np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3),
     )  # fmt: skip

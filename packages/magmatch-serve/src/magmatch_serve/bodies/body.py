@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import Estimate, LocalizerStatus
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.kept_state import KINDS, restored, state_of
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
@@ -20,7 +20,7 @@ from magmatch_serve.refusals import RefusedError
 MAX_TRAIL, TRAIL_STEP = 200, 0.1
 MAX_HYPOTHESES = 8
 SCHEMA = "magmatch.client/1"
-NOTHING = Estimate(LocalizerStatus.SEARCHING, "no sample has come yet")
+NOTHING = PoseEstimate(LocalizerStatus.SEARCHING, "no sample has come yet")
 
 
 @dataclass(eq=False, slots=True)
@@ -35,7 +35,7 @@ class Body:
     is_binary: bool = False
     n: int = 0  # samples taken
     t: float | None = None
-    now: Estimate = NOTHING
+    now: PoseEstimate = NOTHING
     is_kept: bool = True  # whether its last state is on the disk
     left_at: float | None = None  # s: when its client left
     trail: deque[tuple[float, float, str]] = field(default_factory=lambda: deque(maxlen=MAX_TRAIL))
