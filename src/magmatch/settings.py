@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from magmatch.errors import ConfigurationError, first_fault
 
 
-class _OneSentence(type(BaseModel)):  # type: ignore[misc]  # the class has no public name
+class _OneSentence(type(BaseModel)):  # type: ignore[misc]  # pydantic gives its metaclass no public name
     """Turns pydantic's list of faults into the first of them, where settings are made by calling their class."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
@@ -34,7 +34,7 @@ def of_vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:
     return {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
 
 
-class Settings(BaseModel, metaclass=_OneSentence):
+class Settings(BaseModel, metaclass=cast("Any", _OneSentence)):  # type: ignore[metaclass]
     """Settings of a step; reading them from files (`model_validate`) raises pydantic's own error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.geometry import path_walked
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
@@ -31,7 +32,7 @@ def made(seed):
 
 @pytest.fixture(scope="module")
 def base():
-    return prepare_index(build_map(made(3).base), CONFIG)
+    return prepare_index(build_map(made(3).base, SPLINE), CONFIG)
 
 
 def bent(walk, degrees):
@@ -112,7 +113,7 @@ def turning(survey, degrees):
 
 def test_a_survey_compared_as_a_map_is_known_no_better_than_its_drift_lets_it():
     pair, config = made(3), RegistrationConfig(search="invariants")
-    base = prepare_index(build_map(pair.base), config)
+    base = prepare_index(build_map(pair.base, SPLINE), config)
     straight, turned = (
         register_once(base, one, one, config, 0, Clock())[2] for one in (pair.target, turning(pair.target, 10.0))
     )
@@ -128,7 +129,7 @@ def test_a_survey_compared_as_a_map_is_known_no_better_than_its_drift_lets_it():
 
 def test_where_drift_leaves_a_pose_too_uncertain_it_is_named_first():
     pair, config = made(3), RegistrationConfig(search="invariants")
-    base, target = prepare_index(build_map(pair.base), config), turning(pair.target, 20.0)
+    base, target = prepare_index(build_map(pair.base, SPLINE), config), turning(pair.target, 20.0)
     refused = register_once(base, target, target, config, 0, Clock())[2]
     assert refused.status is Status.DEGENERATE
     assert refused.reason.startswith("the target's positions or orientations drift")
