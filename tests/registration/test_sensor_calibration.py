@@ -8,6 +8,7 @@ import pytest
 
 from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.geometry import transform_error
 from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.registration.config import PRESETS
@@ -39,7 +40,7 @@ def raw(pair):
 
 @pytest.fixture(scope="module")
 def base_map(pair):
-    return build_map(pair.base)
+    return build_map(pair.base, SPLINE)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_what_was_undone_can_be_undone_again_from_the_result(raw, found):
 
 
 def test_a_raw_base_is_calibrated_whatever_form_it_comes_in(base_map, raw):
-    raw_map = build_map(raw[0])
+    raw_map = build_map(raw[0], SPLINE)
     forms = raw_map, prepare_index(raw_map, POINTS)
     results = [register(form, base_map, POINTS) for form in forms]
     for result in results:
@@ -119,7 +120,7 @@ def test_a_file_with_an_odd_calibration_is_refused(found, tmp_path, odd):
 
 
 def test_a_clean_pair_is_registered_once(pair, base_map):
-    target = build_map(pair.target)
+    target = build_map(pair.target, SPLINE)
     result, plain = register(base_map, target), register(base_map, target, AS_IT_IS)
     np.testing.assert_array_equal(result.T_base_target.as_matrix(), plain.T_base_target.as_matrix())
     assert in_words(result.sensor) == in_words(plain.sensor) == {}

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from hand_made import WeighedPose
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
@@ -32,8 +33,8 @@ def test_a_walk_is_compared_with_every_sample_that_was_given():
     made = simulate("office-hand-held", 3, SimulationConfig(n_samples=2000))
     config = RegistrationConfig(search="pairs")
     # This base passes places twice: it shows what residuals along a path are like.
-    base, target = prepare_index(build_map(made.base), config), made.target.subset(np.arange(240))
-    fewer = build_map(target.subset(np.arange(0, len(target), 2)))
+    base, target = prepare_index(build_map(made.base, SPLINE), config), made.target.subset(np.arange(240))
+    fewer = build_map(target.subset(np.arange(0, len(target), 2)), SPLINE)
     alone, mapped = (register_once(base, used, target, config, 0, Clock())[2] for used in (target, fewer))
     assert alone.is_accepted, alone.reason
     assert alone.evidence == mapped.evidence
@@ -43,7 +44,7 @@ def test_a_walk_is_compared_with_every_sample_that_was_given():
 def test_the_likelier_of_two_looks_at_one_map_counts():
     # A line that crosses itself is looked at as a map and, where that is refused, as a walk.
     made, config = simulate("corridor", 0, SimulationConfig(n_samples=300)), RegistrationConfig()
-    base = build_map(made.base)
+    base = build_map(made.base, SPLINE)
     both, walk = (
         register_once(base, made.target, made.target, config.model_copy(update={"search": search}), 0, Clock())[2]
         for search in ("auto", "pairs")

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from magmatch import build_map, register, simulate
+from magmatch.field.config import SPLINE
 from magmatch.geometry import log_se3, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.decide.posterior import answers_of
@@ -21,7 +22,7 @@ CONFIG = PRESETS["default"]
 def drifting():
     """A corridor walked twice, blind, 5 cm per square root of a metre."""
     pair = simulate("corridor", 401, SimulationConfig(pose_drift=0.05))
-    return pair, prepare_index(build_map(pair.base), CONFIG)
+    return pair, prepare_index(build_map(pair.base, SPLINE), CONFIG)
 
 
 def weigher(index, target):
