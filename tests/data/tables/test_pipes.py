@@ -11,6 +11,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.phones.read import read_phone_log
@@ -98,6 +99,17 @@ def test_faults_are_told_of_the_name_that_was_given():
     with piped(b"x,y,z,bx,by,bz\n1,2,3,4,5,six\n") as name, pytest.raises(DataFormatError) as error:
         read_survey(name)
     assert str(error.value).startswith(f"{name}, line 2, column 'bz'")
+
+
+def test_faults_of_a_packed_file_are_told_of_the_name_that_was_given(tmp_path):
+    content = BytesIO()
+    savemat(content, {"x": np.arange(20.0)})
+    (tmp_path / "walk.mat").write_bytes(gzip.compress(content.getvalue()))
+    with piped(content.getvalue()) as name:
+        for path in (name, str(tmp_path / "walk.mat")):
+            with pytest.raises(DataFormatError) as error:
+                read_survey(path)
+            assert str(error.value).startswith(f"{path}: expected columns")
 
 
 def test_an_endless_pipe_is_refused(monkeypatch):
