@@ -91,13 +91,14 @@ def slam(
     Exit code 0: all logs are in one frame (a single log: corrected); 3: not all, or nothing to correct. The result is
     written in either case.
     """
+    from magmatch.data.checks import require_walk
     from magmatch.data.logs.drift import read_drift
     from magmatch.preparation.odometry.open_walk import open_walk
     from magmatch.slam.config import SlamConfig
     from magmatch.slam.graph.anchors import of_named, read_anchors
     from magmatch.slam.output.folder import require_folder, unfinished
     from magmatch.slam.output.kept_session import read_session, session_in
-    from magmatch.slam.session import Session, require_walk, unique_stems
+    from magmatch.slam.session import Session, unique_stems
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):

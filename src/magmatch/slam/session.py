@@ -14,9 +14,8 @@ from scipy.special import chdtri
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.brief import brief
-from magmatch.data.checks import odd_speed, require_survey
+from magmatch.data.checks import require_walk
 from magmatch.data.fingerprint import describe_input
-from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
@@ -367,18 +366,6 @@ class Session:
 def _place_and_turn(C: Covariance6) -> tuple[float, float]:
     place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
     return place, turn
-
-
-def require_walk(survey: Survey) -> None:
-    """Refuse what is no walk by odometry."""
-    require_survey(survey, name="log")
-    who = survey.name or "log"
-    if not has_order(survey):
-        msg = f"{who}: its samples follow no path, expected a walk by odometry; for rigid surveys use merge"
-        raise SurveyError(msg)
-    if words := odd_speed(survey):
-        msg = f"{who}: {words}"
-        raise SurveyError(msg)
 
 
 def require_distinct(surveys: Sequence[Survey]) -> None:
