@@ -95,7 +95,7 @@ def slam(
     from magmatch.data.logs.drift import read_drift
     from magmatch.preparation.odometry.open_walk import open_walk
     from magmatch.slam.config import SlamConfig
-    from magmatch.slam.graph.anchors import of_named, read_anchors
+    from magmatch.slam.graph.anchors import in_metres, of_named, read_anchors
     from magmatch.slam.output.folder import require_folder, unfinished
     from magmatch.slam.output.kept_session import read_session, session_in
     from magmatch.slam.session import Session, unique_stems
@@ -121,7 +121,8 @@ def slam(
         files = [path for path in (*logs, config, anchors) if path]
         require_folder(out, None, files)
         if is_more:
-            session_in(out)
+            kept = session_in(out)[1]
+            in_metres(surveyed, kept["stated"]["origin"], [a for a, _ in kept["anchors"]])
         surveys = [walk.survey(say) for walk in walks]
         if not any(":" not in text for text in odometry_sd or []):
             stated = {path.name: read_drift(path, layouts.of()) for path in logs}
