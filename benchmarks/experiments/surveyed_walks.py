@@ -20,8 +20,8 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.phones.phone_log import SurveyedPoints
 from magmatch.data.formats.phones.read import read_phone_log
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.preparation.odometry.dead_reckon import dead_reckon
 from magmatch.slam.graph.anchors import Anchor, waypoints
 from magmatch.slam.graph.solve import solve
@@ -132,7 +132,8 @@ def main() -> None:
     points = {path: some for path, some in every.items() if some is not None}
     paths = chosen(points, asked.walks)
     walks = [Walk.of(path, points[path]) for path in paths]
-    session = timed(lambda: mm.slam([w.survey for w in walks], anchors=[a for w in walks for a in w.anchors]))
+    told, surveys = [a for w in walks for a in w.anchors], [w.survey for w in walks]
+    session = timed(lambda: mm.slam(surveys, anchors=told, waypoints=False))
     logs, trajectories = session.value.result().logs, session.value.trajectories
     alone = session.value.graph.copied()
     alone.closures, alone.submap_factors = [], ()

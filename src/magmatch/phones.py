@@ -3,8 +3,19 @@
 
 from magmatch.data.formats.phones.phone_log import PhoneLog
 from magmatch.data.formats.phones.read import read_phone_log
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.preparation.choose_magnetometer import prepare_either
 from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.preparation.odometry.dead_reckon import Odometry, dead_reckon
+from magmatch.preparation.odometry.open_walk import open_walk
 
-__all__ = ["DeadReckoningConfig", "Odometry", "PhoneLog", "dead_reckon", "prepare_either", "read_phone_log"]
+__all__ = [
+    "DeadReckoningConfig",
+    "Odometry",
+    "PhoneLog",
+    "SurveyedPoints",
+    "dead_reckon",
+    "open_walk",
+    "prepare_either",
+    "read_phone_log",
+]

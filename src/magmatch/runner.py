@@ -14,7 +14,7 @@ import hashlib
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import chain, islice
 from pathlib import Path
@@ -29,7 +29,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch._version import __version__
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.progress import tell
-from magmatch.store import Kinds, load, save
+from magmatch.store import Kinds, load, save, saved_fields
 from magmatch.threads import side_by_side
 from magmatch.workers import Task
 
@@ -247,7 +247,7 @@ def _feed(digest: Any, value: Any) -> None:
     elif callable(value):
         digest.update(f"{value.__module__}.{value.__qualname__};".encode())
     elif is_dataclass(value):
-        _feed(digest, [type(value).__name__, *(getattr(value, f.name) for f in fields(value) if f.init)])
+        _feed(digest, [type(value).__name__, *(getattr(value, name) for name in saved_fields(value))])
     else:
         msg = f"expected arguments of numbers, words, arrays or dataclasses of them, got {type(value).__name__}"
         raise TypeError(msg)

@@ -280,11 +280,16 @@ def _frozen_object(value: Any, name: str, found: dict[int, tuple[str, np.ndarray
         return {"$rotation": _frozen(value.as_quat(), name, found)}
     if type(value) is tuple:
         return {"$tuple": _frozen(list(value), name, found)}
-    names = getattr(value, "_fields", [f.name for f in fields(value) if f.init] if is_dataclass(value) else None)
+    names = getattr(value, "_fields", saved_fields(value) if is_dataclass(value) else None)
     if names is None:
         msg = f"'{name}' is a {type(value).__name__}: expected numbers, words, arrays or dataclasses of them"
         raise TypeError(msg)
     return {f"${type(value).__name__}": _frozen({each: getattr(value, each) for each in names}, name, found)}
+
+
+def saved_fields(value: Any) -> list[str]:
+    """Names of the fields that make a dataclass, but for those that say that they are not saved."""
+    return [f.name for f in fields(value) if f.init and f.metadata.get("is_saved", True)]
 
 
 def _frozen_array(value: np.ndarray, name: str, found: dict[int, tuple[str, np.ndarray, Any]]) -> Any:

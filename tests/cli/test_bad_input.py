@@ -144,7 +144,10 @@ TAKES_A_FILE: dict[str, Callable[[Path, Path, Path], list[object]]] = {
 
 @pytest.mark.parametrize("door", TAKES_A_FILE)
 @pytest.mark.parametrize("kind", NO_FILES)
-def test_what_is_no_file_is_refused_at_every_door_whatever_its_name(kind, door, good, out, run, tmp_path):
+def test_what_is_no_file_is_refused_at_every_door_whatever_its_name(
+    kind, door, good, out, run, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("magmatch.data.tables.pipes.WAIT", 0.01)  # s, for somebody to write to the pipe
     bad = tmp_path / "bad.csv"
     NO_FILES[kind](bad)
     assert_refused(run(*TAKES_A_FILE[door](good, bad, out)), "bad.csv", out)

@@ -4,21 +4,18 @@
 import gzip
 import json
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magmatch.cli.command import Layouts
-from magmatch.cli.slam import marked_points
-from magmatch.cli.walks import OpenedWalk, read_walk
+from magmatch.cli.inputs import logs_in
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.read import read_survey
-from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
-from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor
+from magmatch.errors import DataFormatError
+from magmatch.preparation.odometry.open_walk import open_walk
 
 G, RATE = 9.81, 50.0
 
@@ -95,8 +92,8 @@ def test_slam_takes_a_raw_log_as_with_poses_by_odometry(export, tmp_path, run):
     np.testing.assert_allclose(*at, atol=0.05)
 
 
-def straight(t):
-    return Survey(np.column_stack([t, 0 * t, 0 * t]), np.ones((len(t), 3)) * 3e-5, t, name="walk.txt")
+def read_walk(path, layout=None):
+    return open_walk(path, layout, with_points=False).survey()
 
 
 def xyz10(folder, name, origin=(100.0, 50.0)):
@@ -129,6 +126,7 @@ def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, 
     assert "2 logs; not read: floor_info.json" in outcome.err
     assert "Dead reckoning of two.txt: " in outcome.err
     assert "8 surveyed points that logs hold are fixed points (--no-waypoints" in outcome.err
+    assert "Fixed points: passed 0." in outcome.err
     result = json.loads(outcome.out)
     assert [(log["name"], log["component"], log["is_fixed"]) for log in result["logs"]] == [
         ("one", 0, True),
@@ -139,6 +137,17 @@ def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, 
         poses = Trajectory.load(tmp_path / "out" / f"{name}.tum")
         at = np.interp(1_574_568_614.840 + 9.0, poses.times, np.arange(len(poses.times))).round().astype(int)
         assert np.abs(poses.positions[at, :2] - [105.5, y]).max() < 0.6
+
+
+def test_a_pattern_that_the_shell_left_stands_for_the_logs_that_it_matches(tmp_path, monkeypatch):
+    logs = [xyz10(tmp_path / "floor", name) for name in ("b.txt", "a.txt", "[1].txt")]
+    (tmp_path / "floor" / "notes.md").write_text("none")
+    assert logs_in([tmp_path / "floor" / "*.txt"]) == sorted(logs)
+    assert logs_in([tmp_path / "*" / "[ab].txt", logs[2]]) == [logs[1], logs[0], logs[2]]
+    monkeypatch.chdir(tmp_path)
+    assert logs_in([Path("floor/a*")]) == [Path("floor/a.txt")]
+    with pytest.raises(DataFormatError, match=r"\*\.csv: matches no file"):
+        logs_in([tmp_path / "floor" / "*.csv"])
 
 
 def test_without_waypoints_none_is_used(tmp_path, run):
@@ -152,9 +161,9 @@ def test_without_waypoints_none_is_used(tmp_path, run):
 def test_localization_reads_no_surveyed_point(tmp_path):
     pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     log = xyz10(tmp_path / "floor", "walk.txt")
-    known = read_walk(log, Layouts({}))
+    known = read_walk(log)
     log.write_text("".join(line for line in log.read_text().splitlines(keepends=True) if "WAYPOINT" not in line))
-    np.testing.assert_array_equal(read_walk(log, Layouts({})).positions, known.positions)
+    np.testing.assert_array_equal(read_walk(log).positions, known.positions)
 
 
 @pytest.mark.parametrize(
@@ -166,11 +175,38 @@ def test_localization_reads_no_surveyed_point(tmp_path):
     ],
 )
 def test_tables_are_checked_before_a_log_is_dead_reckoned(row, said, tmp_path, run, monkeypatch):
-    monkeypatch.setattr("magmatch.preparation.odometry.dead_reckon.dead_reckon", lambda _: pytest.fail("too soon"))
+    monkeypatch.setattr("magmatch.preparation.odometry.open_walk.dead_reckon", lambda _: pytest.fail("too soon"))
     log = xyz10(tmp_path, "walk.txt")
     points = tmp_path / "points.csv"
     points.write_text(f"log,t,x,y,z,sd\nwalk,1574568614.1,0,0,0,0.1\n{row}\n")
     outcome = run("slam", log, "--anchors", points, "--out", tmp_path / "out")
+    assert outcome.code == 2
+    assert said in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
+AT_ONCE = [f"{x},{y},0,2e-5,0,{z}e-5\n" for x, y, z in np.random.default_rng(0).uniform(1, 30, (200, 3)).round(3)]
+ALSO_READ = {
+    "a log without a gyroscope": ("log.txt", "ACCE;0;0;0;0;9.8;3\nACCE;1;1;0;0;9.8;3\n", "expected readings of the"),
+    "a log that is too short": ("log.txt", "ACCE;0;0;0;0;9.8;3\nGYRO;0;0;0;0;0;3\n" * 2, "expected a walk of 2 s"),
+    "points at once": ("log.csv", f"x,y,z,bx,by,bz\n{''.join(AT_ONCE)}", "log.csv: its samples follow no path"),
+    "other settings": ("other.yaml", "{loops: 3}", "loops"),
+    "a folder of something else": ("out/notes.txt", "", "out: is not empty"),
+    "a damaged result": ("out/result.json", "{", "result.json"),
+    "poses without orientations": ("poses.tum", "0 1 2\n", "poses.tum, line 1"),
+}
+
+
+@pytest.mark.parametrize("case", ALSO_READ)
+def test_whatever_else_is_read_is_checked_before_a_log_is_dead_reckoned(case, tmp_path, run, monkeypatch):
+    monkeypatch.setattr("magmatch.preparation.odometry.open_walk.dead_reckon", lambda _: pytest.fail("too soon"))
+    name, content, said = ALSO_READ[case]
+    (tmp_path / "out").mkdir()
+    other = tmp_path / name
+    other.write_text(content)
+    more = {".yaml": ["--config", other], ".tum": ["--trajectory", other]}.get(other.suffix, [])
+    logs = [xyz10(tmp_path, "walk.txt"), *([other] if other.stem == "log" else [])]
+    outcome = run("slam", *logs, *more, "--out", tmp_path / "out")
     assert outcome.code == 2
     assert said in outcome.err
     assert outcome.err.count("\n") == 1
@@ -191,12 +227,6 @@ def test_points_in_degrees_are_metres_about_the_first(tmp_path, run):
     assert result["config"]["origin"] == [49, 11]
     assert "metres east and north of 49.0,11.0\n" in outcome.err
     assert [round(a["position"][1], 1) for a in result["anchors"]] == [0, 5.5, 0, 5.5]
-    # Nothing ties a table in metres to the log's degrees, unless their origin is stated.
-    survey, points = straight(t), read_phone_log(tmp_path / "walk.txt", with_points=True)
-    walks = [OpenedWalk(tmp_path / "walk.txt", SurveyFormat(), survey, points)]
-    table = [Anchor("walk", 0.0, np.zeros(3), 0.1)]
-    for settings, n in ((SlamConfig(), 0), (SlamConfig(origin=(49.0, 11.0)), 4)):
-        assert len(marked_points(walks, [survey], [survey], table, settings)) == n
 
 
 def test_info_names_the_sensors_and_says_where_poses_come_from(export, run):
@@ -248,7 +278,7 @@ def test_the_log_is_never_written_over(export, run):
 
 def test_a_unit_of_length_is_none_of_dead_reckonings_metres(export):
     pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
-    walks = [read_walk(export, Layouts(said)) for said in ({}, {("", "length_unit"): "mm"})]
+    walks = [read_walk(export, layout) for layout in (None, SurveyFormat(length_unit="mm"))]
     np.testing.assert_array_equal(walks[0].positions, walks[1].positions)
     assert np.ptp(walks[0].positions, axis=0).max() > 3
 
@@ -258,4 +288,4 @@ def test_a_walk_loses_no_sample_to_its_dead_reckoning_with_a_warning(export, tmp
     assert run("odometry", export, "--out", tmp_path / "walk.tum").code == 0
     done = run("info", export, "--trajectory", tmp_path / "walk.tum")
     assert "without a pose" not in done.err
-    assert len(read_walk(export, Layouts({}))) == len(readings()[0])
+    assert len(read_walk(export)) == len(readings()[0])

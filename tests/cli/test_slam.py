@@ -169,7 +169,7 @@ def test_help_shows_examples_and_exit_codes(run, name):
     assert "Exit code 0" in done.out
 
 
-def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, logs, tmp_path):
+def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, logs, tmp_path, monkeypatch):
     walk, truth = mm.read_survey(logs / "short.csv"), np.load(logs / "truth.npy")
     points = tmp_path / "points.csv"
     rows = [f"short,{walk.times[k]},{p[0] + 50},{p[1]},{p[2]},0.02" for k in (3, 70, 140) for p in [truth[k]]]
@@ -193,6 +193,12 @@ def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, l
         assert done.code == 2
         assert said in done.err
         assert len(done.err.strip().splitlines()) == 1
+    # Before any poses are worked out.
+    monkeypatch.setattr("magmatch.preparation.odometry.open_walk.OpenedWalk.survey", None)
+    points.write_text("log,t,lat,lon,z,sd\nshort,1,49,11,0,1\n")
+    done = run("slam", logs / "short.csv", "--anchors", points, "--continue", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert "points.csv, line 2: is in metres, " in done.err
     assert {path.name for path in tmp_path.iterdir()} == {"out", "points.csv"}
 
 

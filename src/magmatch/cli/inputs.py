@@ -3,6 +3,8 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from glob import glob, has_magic
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +59,7 @@ def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":
 
 
 def logs_in(paths: Sequence[Path]) -> list[Path]:
-    """Logs as given; in place of a folder that is no log itself, the logs in it, by name.
+    """Logs as given; in place of a folder that is no log itself, the logs in it, by name; of a pattern, what matches.
 
     Where there are logs of recorders or phones, tables beside them are none.
     """
@@ -66,14 +68,14 @@ def logs_in(paths: Sequence[Path]) -> list[Path]:
     from magmatch.data.tables.text import is_folder
 
     found: list[Path] = []
-    for path in paths:
+    for path in chain.from_iterable(map(matches, paths)):
         kinds = {}
         try:
             sniff(path)
         except DataFormatError:
             if not is_folder(path):
                 raise
-            inside = [entry for entry in sorted(path.iterdir()) if not is_hidden(entry.name)]
+            inside = [entry for entry in sorted(path.iterdir()) if not (is_hidden(entry.name) or entry.is_fifo())]
             for entry in inside:
                 with suppress(DataFormatError):
                     kinds[entry] = sniff(entry)
@@ -87,6 +89,15 @@ def logs_in(paths: Sequence[Path]) -> list[Path]:
             found += logs
         else:
             found.append(path)
+    return found
+
+
+def matches(path: Path) -> list[Path]:
+    """Files that a pattern matches, by name, where the shell has left it; a file with such a name is itself."""
+    if path.exists() or not has_magic(str(path)):
+        return [path]
+    if not (found := sorted(map(Path, glob(str(path), recursive=True)))):  # noqa: PTH207
+        raise DataFormatError(path, "matches no file")
     return found
 
 

@@ -14,7 +14,6 @@ from magmatch.cli.narration import put, say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
 from magmatch.cli.settings import merged
-from magmatch.cli.walks import open_walk
 
 if TYPE_CHECKING:
     from magmatch.localization.result import LocalizationResult
@@ -71,6 +70,7 @@ def localize(
     from magmatch.localization.known_places import open_place
     from magmatch.localization.localize import localize as run
     from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD
+    from magmatch.preparation.odometry.open_walk import open_walk
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
     check_outputs((out,), inputs=(place, log, config), page=report)
@@ -81,11 +81,14 @@ def localize(
             refuse("--odometry-sd", "metres,degrees, both above 0, such as 0.3,4", odometry_sd)
         switches["odometry"] = settings.odometry.model_copy(update={"sd": sd})
     settings = settings.model_copy(update=switches)
-    opened, known = open_walk(log, layouts), open_place(place)  # both before a log is dead reckoned
+    opened, known = (
+        open_walk(log, layouts.of(), with_points=False),
+        open_place(place),
+    )  # both before a log is dead reckoned
     if opened.given is None and odometry_sd is None and settings.odometry == LocalizerConfig().odometry:
         drift = settings.odometry.model_copy(update={"sd": DEAD_RECKONING_SD})
         settings = settings.model_copy(update={"odometry": drift})
-    walk = opened.survey()
+    walk = opened.survey(say)
     track = run(known, walk, settings, live=live)
     result = track.result()
     track.save(out, read_poses_of(log, layouts))

@@ -3,17 +3,18 @@
 
 import shlex
 from collections.abc import Sequence
-from math import degrees
+from math import degrees, hypot, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json
+from magmatch.number_text import told
 
 if TYPE_CHECKING:
     from magmatch.data.trajectory import Trajectory
-    from magmatch.slam.result import SlamResult
+    from magmatch.slam.result import AnchorResult, SlamResult
     from magmatch.slam.session import Session
 
 
@@ -75,4 +76,17 @@ def tell(result: "SlamResult") -> str:
         # Rigid surveys have no odometry and are moved as a whole.
         walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
         lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")
-    return "\n".join(lines)
+    return "\n".join(lines + ([_passed(result.anchors)] if result.anchors else []))
+
+
+def _passed(points: "Sequence[AnchorResult]") -> str:
+    """How far off the logs pass their fixed points."""
+    off, without = (
+        [hypot(*v) for v in vectors] for vectors in zip(*((p.off, p.off_without) for p in points), strict=True)
+    )
+    far = max(range(len(points)), key=off.__getitem__)
+    rms, rms_without = (sqrt(sum(d * d for d in distances) / len(points)) for distances in (off, without))
+    return (
+        f"  Fixed points: passed {rms:.2f} m off (rms), {off[far]:.2f} m at most ({points[far].log} at "
+        f"{told(points[far].t)} s); {rms_without:.2f} m (rms) where each is left out"
+    )

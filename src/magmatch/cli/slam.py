@@ -15,13 +15,9 @@ from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.processes import processes
 from magmatch.cli.sessions import deliver, require_recording
 from magmatch.cli.settings import merged
-from magmatch.cli.walks import OpenedWalk, open_walk
 
 if TYPE_CHECKING:
-    from magmatch.data.survey import Survey
-    from magmatch.settings import Settings
     from magmatch.slam.config import SlamConfig
-    from magmatch.slam.graph.anchors import Anchor
 
 EXAMPLES = (
     "magmatch slam walk.csv --out corrected",
@@ -95,11 +91,13 @@ def slam(
     Exit code 0: all logs are in one frame (a single log: corrected); 3: not all, or nothing to correct. The result is
     written in either case.
     """
+    from magmatch.data.checks import require_walk
     from magmatch.data.logs.drift import read_drift
+    from magmatch.preparation.odometry.open_walk import open_walk
     from magmatch.slam.config import SlamConfig
-    from magmatch.slam.graph.anchors import of_named, read_anchors
+    from magmatch.slam.graph.anchors import in_metres, of_named, read_anchors
     from magmatch.slam.output.folder import require_folder, unfinished
-    from magmatch.slam.output.kept_session import read_session
+    from magmatch.slam.output.kept_session import read_session, session_in
     from magmatch.slam.session import Session, unique_stems
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
@@ -114,57 +112,31 @@ def slam(
     settings = with_odometry_sd(settings, odometry_sd or [], logs)
     surveyed = [] if anchors is None else read_anchors(anchors)
     with processes(jobs, scheduler, ahead=2) as run:
-        walks = [open_walk(path, layouts, with_points=not no_waypoints) for path in logs]
+        walks = [open_walk(path, layouts.of(), with_points=not no_waypoints) for path in logs]
         names = [path.name for path in logs]
         of_named(surveyed, names, unique_stems(names), [walk.span for walk in walks])
-        surveys = [walk.survey() for walk in walks]
+        for walk in walks:
+            if walk.given is not None:
+                require_walk(walk.given)
+        files = [path for path in (*logs, config, anchors) if path]
+        require_folder(out, None, files)
+        if is_more:
+            kept = session_in(out)[1]
+            in_metres(surveyed, kept["stated"]["origin"], [a for a, _ in kept["anchors"]])
+        surveys = [walk.survey(say) for walk in walks]
         if not any(":" not in text for text in odometry_sd or []):
             stated = {path.name: read_drift(path, layouts.of()) for path in logs}
             sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
             settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
-        files = [path for path in (*logs, config, anchors) if path]
         require_folder(out, surveys, files, may_be_more=is_more, to_add="add the others with --continue, ")
         poses = [read_poses_of(path, layouts) for path in logs]
         session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
-        fixed = [*surveyed, *marked_points(walks, surveys, [*session.given, *new], surveyed, session.config)]
-        session.add_logs(new, fixed, run=run, keep=unfinished(out))
+        session.add_logs(new, surveyed, waypoints=not no_waypoints, run=run, keep=unfinished(out))
     # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
     words = ["slam", *map(str, asked), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
     words += ["--no-waypoints"] if no_waypoints else []
     return deliver(session, out, words, poses, json=json, rerun=rerun)
-
-
-def marked_points(
-    walks: "Sequence[OpenedWalk]",
-    surveys: "Sequence[Survey]",
-    order: "Sequence[Survey]",
-    surveyed: "Sequence[Anchor]",
-    config: "Settings | None",
-) -> "list[Anchor]":
-    """Points that the logs hold themselves, each by its log's name in the order of a session.
-
-    Nothing ties those in degrees to others in metres, unless the settings say where these begin.
-    """
-    from magmatch.slam.graph.anchors import warn_of_floors, waypoints
-    from magmatch.slam.session import names_of
-
-    named = {id(survey): name for survey, name in zip(order, names_of(order), strict=True)}
-    points = [None if walk.phone is None else walk.phone.points for walk in walks]
-    warn_of_floors(points)
-    found = [
-        anchor
-        for some, survey in zip(points, surveys, strict=True)
-        for anchor in ([] if some is None else waypoints(some, survey, named[id(survey)]))
-    ]
-    is_apart = getattr(config, "origin", None) is None and any(not a.in_degrees for a in surveyed)
-    if is_apart and any(a.in_degrees for a in found):
-        words = "the fixed points of --anchors are in metres: points in degrees that logs hold are not used"
-        say(f"warning: {words}; state where x and y are 0 (setting 'origin': latitude, longitude) to use both")
-        found = [anchor for anchor in found if not anchor.in_degrees]
-    if found:
-        say(f"{len(found)} surveyed points that logs hold are fixed points (--no-waypoints leaves them out)")
-    return found
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

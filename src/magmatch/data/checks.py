@@ -9,6 +9,7 @@ import numpy as np
 from magmatch.arguments import expect_kind
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.order import has_order
 from magmatch.data.sensor_axes import doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import GLOBAL_FRAME
@@ -67,6 +68,18 @@ def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str
         *_doubt_repeats(survey),
         *_doubt_times(survey, layout.time_unit),
     ]
+
+
+def require_walk(survey: Survey) -> None:
+    """Refuse what is no walk by odometry."""
+    require_survey(survey, name="log")
+    who = survey.name or "log"
+    if not has_order(survey):
+        msg = f"{who}: its samples follow no path, expected a walk by odometry; for rigid surveys use merge"
+        raise SurveyError(msg)
+    if words := odd_speed(survey):
+        msg = f"{who}: {words}"
+        raise SurveyError(msg)
 
 
 def require_survey(survey: Any, layout: SurveyFormat | None = None, name: str = "survey") -> None:

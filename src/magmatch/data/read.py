@@ -17,7 +17,7 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.mat import advice_for_arrays, read_mat
 from magmatch.data.formats.parquet import read_parquet
-from magmatch.data.formats.phones.phone_log import Sensor
+from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor
 from magmatch.data.formats.phones.read import read_phone_log, read_phone_recording
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
@@ -91,10 +91,10 @@ def read_survey_and_channels(
     return survey, recording.channels.at(survey.times, len(survey))
 
 
-def read_phone_on(path: str | Path, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
-    """Read and check the survey of a phone's log with poses that were worked out from it, in metres."""
-    survey, used = _read_phone(path, layout, trajectory=trajectory)
-    return _checked(path, replace(survey, name=Path(path).name), used)
+def survey_of_phone(log: PhoneLog, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
+    """Check the survey of a phone's log with poses that were worked out from it, in metres."""
+    survey, used = _read_phone(log.path, layout, trajectory=trajectory, log=log)
+    return _checked(log.path, replace(survey, name=log.path.name), used)
 
 
 def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | None:
@@ -153,11 +153,15 @@ def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyF
 
 
 def _read_phone(
-    path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None, trajectory: Trajectory | None = None
+    path: str | Path,
+    layout: SurveyFormat,
+    sensor: Sensor | None = None,
+    trajectory: Trajectory | None = None,
+    log: PhoneLog | None = None,
 ) -> tuple[Survey, SurveyFormat]:
     """A phone's magnetometer: microtesla in the phone's axes, unless stated otherwise."""
     layout = layout.settled(field_unit="uT", field_frame="sensor")
-    return _joined(read_phone_recording(path, layout, sensor, trajectory), layout)
+    return _joined(read_phone_recording(path, layout, sensor, trajectory, log), layout)
 
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:

@@ -4,6 +4,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
+from dataclasses import field as field_of
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -34,6 +35,7 @@ from magmatch.data.survey_columns import (
     survey_arguments,
     survey_table,
 )
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.frames import frame_of_xarray
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, Wanted, read_table, write_table
@@ -74,6 +76,9 @@ class Survey:
         Where the survey came from, for messages and reports.
     pose_sd : float, m
         Standard deviation of the survey's own positions; 0 if unknown or exact.
+    waypoints : SurveyedPoints, optional
+        Points of a plan that a phone's walker marked, at times of the survey but in the plan's frame: `slam` has
+        them as fixed points. They are in no table or map that is saved.
     """
 
     positions: Points
@@ -83,6 +88,7 @@ class Survey:
     frame: str = DEFAULT_FRAME
     name: str = "survey"
     pose_sd: float = 0.0
+    waypoints: SurveyedPoints | None = field_of(default=None, metadata={"is_saved": False})
 
     def __post_init__(self) -> None:
         expect_kind(self.name, "name", (str,))
@@ -107,6 +113,8 @@ class Survey:
         if self.orientations is not None:
             expect_rotations(self.orientations, "orientations", n)
         number_of(self.pose_sd, "pose_sd", "m")
+        if self.waypoints is not None:
+            expect_kind(self.waypoints, "waypoints", (SurveyedPoints,))
         return settled
 
     def check(self) -> None:

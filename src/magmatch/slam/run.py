@@ -19,6 +19,7 @@ def slam(
     config: SlamConfig | None = None,
     *,
     anchors: Sequence[Anchor] | str | Path = (),
+    waypoints: bool = True,
     run: Workers | None = None,
     progress: Progress | None = None,
     keep: str | Path | None = None,
@@ -33,6 +34,8 @@ def slam(
     anchors : sequence of Anchor, or path, optional
         Fixed points, or a table of them (``log,t,x,y,z,sd``, or ``lat,lon`` for ``x,y``). If they determine the
         frame, the logs that they fix are in it.
+    waypoints : bool
+        Points that the logs hold themselves are fixed points too.
     run : callable, optional
         Lets other processes make and compare submaps, such as `magmatch.workers.DaskRunner`: called with a function
         and tasks, which can be pickled, it gives the results in the tasks' order. By default this process does all
@@ -65,5 +68,5 @@ def slam(
         msg = "expected at least one log, got none"
         raise ValueError(msg)
     session = Session(config)
-    session.add_logs(given, anchors, run=run, progress=progress, keep=keep)
+    session.add_logs(given, anchors, waypoints=waypoints, run=run, progress=progress, keep=keep)
     return session

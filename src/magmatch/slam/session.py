@@ -14,9 +14,8 @@ from scipy.special import chdtri
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.brief import brief
-from magmatch.data.checks import odd_speed, require_survey
+from magmatch.data.checks import require_walk
 from magmatch.data.fingerprint import describe_input
-from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
@@ -29,7 +28,7 @@ from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
 from magmatch.slam.begin import settled
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
+from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors, waypoints_of
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -95,6 +94,7 @@ class Session:
         logs: Sequence[Survey],
         anchors: Sequence[Anchor] | str | FilePath = (),
         *,
+        waypoints: bool = True,
         run: Workers | None = None,
         progress: Progress | None = None,
         keep: str | FilePath | None = None,
@@ -105,7 +105,7 @@ class Session:
         ----------
         logs : sequence of Survey
             Each with positions from odometry, in its own frame.
-        anchors, run, progress, keep
+        anchors, waypoints, run, progress, keep
             See `slam`.
         """
         config, clock, earlier = self._of_slam(), Clock(), self.places
@@ -113,20 +113,17 @@ class Session:
             msg = "a live log is open; finish() it before adding others"
             raise ValueError(msg)
         for survey in logs:
-            require_survey(survey, name="log")
-            who = survey.name or "log"
-            if not has_order(survey):
-                msg = f"{who}: its samples follow no path, expected a walk by odometry; for rigid surveys use merge"
-                raise SurveyError(msg)
-            if words := odd_speed(survey):
-                msg = f"{who}: {words}"
-                raise SurveyError(msg)
+            require_walk(survey)
         given = [*self.given, *logs]
         require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         for k, anchor in enumerate(listed):
             expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.slam.graph.anchors.Anchor")
-        listed, origin = in_metres(listed, config.origin, [a for a, _ in earlier.anchors] if earlier else ())
+        before = [a for a, _ in earlier.anchors] if earlier else []
+        if waypoints:
+            is_tied = config.origin is not None or all(a.in_degrees for a in (*listed, *before))
+            listed += waypoints_of(logs, names_of(given)[len(self.given) :], is_tied=is_tied)
+        listed, origin = in_metres(listed, config.origin, before)
         config = config.model_copy(update={"origin": origin})
         # Those of before may be given again.
         known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}

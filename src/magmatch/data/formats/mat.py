@@ -74,7 +74,7 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
             name: seconds_of_column(_column(place, name, arrays[name.partition(":")[0]]), ticks.get(name, 1.0))
             for name in chosen.ours
         }
-        table = chosen.of(_table(place, columns, recover=layout.recover))
+        table = chosen.of(_table(Path(path), columns, recover=layout.recover))
         # Only for the message about what is missing: it costs another look at the file.
         is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
         return table if is_whole else replace(table, names=_listing(place, is_v5=is_v5))

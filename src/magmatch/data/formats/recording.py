@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.formats.channels import NO_CHANNELS, Channels
 from magmatch.data.survey import Survey
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.number_text import many, told
@@ -33,6 +34,7 @@ class Recording:
     frame: str = "survey"  # name of the survey frame
     poses_from: Path | None = None  # another file that the poses came from
     channels: Channels = NO_CHANNELS  # other numbers of the log, where they were asked for
+    waypoints: SurveyedPoints | None = None
 
     def carried(self, T_body_sensor: RigidTransform | None) -> "Recording":
         """Turn poses of the carrying body into poses of the sensor."""
@@ -59,6 +61,7 @@ class Recording:
             orientations if self.has_orientations else None,
             frame=self.frame,
             name=self.path.name,
+            waypoints=self.waypoints,
         )
 
     def _covered(self) -> np.ndarray:

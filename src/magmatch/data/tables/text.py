@@ -36,11 +36,11 @@ def _opened(path: str | Path) -> Iterator[BinaryIO | GzipContent]:
     """A regular file, open for reading; faults of its name in words."""
     if "\0" in str(path):
         raise DataFormatError(path, "holds a NUL character, expected the name of a file")
-    place = at_rest(path)
     try:
+        place = at_rest(path)
         mode = place.stat().st_mode
         if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
-            raise DataFormatError(path, "is not a regular file (a device, pipe or socket), expected a file")
+            raise DataFormatError(path, "is not a regular file (a device or socket), expected a file")
         if stat.S_ISDIR(mode):
             raise DataFormatError(path, "is a folder, expected a file")
         with place.open("rb") as stream:

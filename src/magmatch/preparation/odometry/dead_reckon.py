@@ -62,7 +62,7 @@ def dead_reckon(phone: PhoneLog, config: DeadReckoningConfig | None = None) -> O
     nothing is known: the path has no poses there, and goes on behind it as if the walker had stood still.
     """
     config = config or DeadReckoningConfig()
-    acceleration, rate = phone.acceleration(WHAT_FOR), phone.require("rate", WHAT_FOR)
+    acceleration, rate = usable(phone)
     times, stop = _even_times(phone, (acceleration, rate), config)
     felt, turning = acceleration.at(times), rate.at(times)
     orientations = attitude(turning, felt, config)
@@ -80,6 +80,21 @@ def dead_reckon(phone: PhoneLog, config: DeadReckoningConfig | None = None) -> O
     if 0 < stop - times[-1] <= 1 / config.rate:  # the last reading rarely falls on an even time
         trajectory = _carried_on(trajectory, stop, moves[-1] * config.rate, turning[-1])
     return Odometry(trajectory, steps, float(np.hypot(config.factor_sd * length, by_step)))
+
+
+def usable(phone: PhoneLog) -> tuple[Stream, Stream]:
+    """Accelerometer and gyroscope of a log, if they can be those of a walk."""
+    streams = phone.acceleration(WHAT_FOR), phone.require("rate", WHAT_FOR)
+    span = min(s.times[-1] for s in streams) - max(s.times[0] for s in streams)
+    if not SPAN[0] <= span <= SPAN[1]:
+        message = f"the sensors share {span:.3g} s, expected a walk of {SPAN[0]:g} s to {SPAN[1] / 3600:g} h"
+        raise DataFormatError(phone.path, message)
+    for stream in streams:
+        rate = 1 / float(np.median(np.diff(stream.times)))
+        if rate < SLOWEST:
+            message = f"{stream.source}: {rate:.3g} readings a second, expected at least {SLOWEST:g} for {WHAT_FOR}"
+            raise DataFormatError(phone.path, message)
+    return streams
 
 
 def _carried_on(trajectory: Trajectory, stop: float, velocity: Scalars, turning: Scalars) -> Trajectory:
@@ -107,21 +122,11 @@ def heading(orientations: Rotation) -> Vectors:
 
 
 def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: DeadReckoningConfig) -> tuple[Scalars, float]:
-    """Times at the configured rate that all sensors cover, none of them in a long gap, and where the sensors end.
-
-    What makes a walk impossible is refused, gaps are told.
-    """
+    """Times at the configured rate that all sensors cover, none of them in a long gap, and where the sensors end."""
     start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
-    if not SPAN[0] <= stop - start <= SPAN[1]:
-        message = f"the sensors share {stop - start:.3g} s, expected a walk of {SPAN[0]:g} s to {SPAN[1] / 3600:g} h"
-        raise DataFormatError(phone.path, message)
     times = np.asarray(start + np.arange(int((stop - start) * config.rate) + 1) / config.rate)
     for stream in streams:
         intervals = np.diff(stream.times)
-        rate = 1 / float(np.median(intervals))
-        if rate < SLOWEST:
-            message = f"{stream.source}: {rate:.3g} readings a second, expected at least {SLOWEST:g} for {WHAT_FOR}"
-            raise DataFormatError(phone.path, message)
         if intervals.max() > GAP:
             words = "%s: %s has %s, the longest %.3g s: turns and steps within are lost"
             n_gaps = int((intervals > GAP).sum())

@@ -9,9 +9,10 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from magmatch.arguments import column_of, number_of, numbers_of
-from magmatch.data.formats.phones.phone_log import SurveyedPoints
+from magmatch.compiled import NOTICE
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import (
     advice_on_comments,
@@ -229,6 +230,25 @@ def waypoints(points: SurveyedPoints, survey: Survey, log: str) -> list[Anchor]:
         for t, (x, y), z, line, counts in rows
         if counts
     ]
+
+
+def waypoints_of(logs: Sequence[Survey], names: Sequence[str], *, is_tied: bool) -> list[Anchor]:
+    """Points that logs hold themselves, as fixed points; those in degrees only if they are tied to the others."""
+    warn_of_floors(log.waypoints for log in logs)
+    found = [
+        anchor
+        for log, name in zip(logs, names, strict=True)
+        for anchor in ([] if log.waypoints is None else waypoints(log.waypoints, log, name))
+    ]
+    kept = [anchor for anchor in found if is_tied or not anchor.in_degrees]
+    if len(kept) < len(found):
+        words = "fixed points given in metres: points in degrees that logs hold are not used"
+        logger.warning("%s; state where x and y are 0 (setting 'origin': latitude, longitude) to use both", words)
+    if kept:
+        logger.log(
+            NOTICE, "%d surveyed points that logs hold are fixed points (--no-waypoints leaves them out)", len(kept)
+        )
+    return kept
 
 
 def warn_of_floors(logs: Iterable[SurveyedPoints | None]) -> None:

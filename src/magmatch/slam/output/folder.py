@@ -32,7 +32,7 @@ def unfinished(folder: str | Path) -> Path:
 
 def require_folder(
     folder: str | Path,
-    surveys: Sequence[Survey],
+    surveys: Sequence[Survey] | None,
     files: Iterable[str | Path] = (),
     *,
     may_be_more: bool = False,
@@ -41,7 +41,7 @@ def require_folder(
     """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
 
     ``files`` are those of the surveys and whatever else is read; ``may_be_more``: some surveys may be new;
-    ``to_add``: what would add them, for the message.
+    ``to_add``: what would add them, for the message. Surveys that are not known yet (None) are not compared.
     """
     folder = Path(folder)
     if not folder.exists():
@@ -57,6 +57,8 @@ def require_folder(
     if not (folder / RESULT).is_file():
         raise DataFormatError(folder, f"is not empty, and holds no earlier result ({RESULT}); {advice}")
     earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
+    if surveys is None:
+        return
     given = {describe_input(s)["sha256"] for s in surveys}
     if earlier < given and not may_be_more:
         raise DataFormatError(folder, f"holds a result of fewer inputs; {to_add}{advice}")

@@ -45,6 +45,14 @@ def write_session(session: Session, path: Path) -> None:
     save(path, SCHEMA, content)
 
 
+def session_in(folder: str | Path) -> tuple[Path, dict[str, Any]]:
+    """File and content of the session that a folder holds; DataFormatError where it holds none."""
+    path = Path(folder) / SESSION
+    if not path.is_file():
+        raise DataFormatError(folder, f"holds no session to continue ({SESSION}); leave out --continue")
+    return path, load(path, SCHEMA, KINDS)
+
+
 def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session, list[Survey]]:
     """Read a session from a folder; also gives those of some surveys that are not in it yet.
 
@@ -53,10 +61,7 @@ def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session
     DataFormatError
         The folder holds no session, or one of a survey that is not given.
     """
-    path = Path(folder) / SESSION
-    if not path.is_file():
-        raise DataFormatError(folder, f"holds no session to continue ({SESSION}); leave out --continue")
-    content = load(path, SCHEMA, KINDS)
+    path, content = session_in(folder)
     by_content = {describe_input(s)["sha256"]: s for s in surveys}
     with naming(path):
         given = [by_content.get(sha) for sha in content["inputs"]]

@@ -13,6 +13,7 @@ from magmatch.data.formats.sniff import sniff
 from magmatch.data.read import read_raw_magnetometer, read_survey
 from magmatch.data.tables.tum import write_tum
 from magmatch.errors import DataFormatError
+from magmatch.preparation.odometry.open_walk import open_walk
 
 N, START = 30, 1_574_568_614_840  # Unix ms
 RNG = np.random.default_rng(3)
@@ -94,9 +95,24 @@ def test_with_a_trajectory_it_is_a_survey_in_either_calibration(tmp_path, log):
     positions = np.column_stack([times - times[0], np.sin(times), 0 * times])
     write_tum(tmp_path / "poses.tum", times, positions, np.tile([0.0, 0.0, 0.0, 1.0], (40, 1)))
     layout = SurveyFormat(trajectory=tmp_path / "poses.tum")
-    np.testing.assert_allclose(read_survey(log, layout).field, FIELD * 1e-6, atol=1e-15)
+    survey = read_survey(log, layout)
+    np.testing.assert_allclose(survey.field, FIELD * 1e-6, atol=1e-15)
+    np.testing.assert_array_equal(survey.waypoints.places[0], [77.79517, 127.669235])
     # As of other phones: left aside where hard iron makes it impossible, not refused.
     read_raw_magnetometer(log, layout)
+
+
+def test_a_waypoint_that_cannot_be_is_no_fault_of_a_survey(tmp_path, log, caplog):
+    poses = tmp_path / "poses.tum"
+    write_tum(poses, START / 1e3 + np.array([-1.0, 9]), np.eye(2, 3), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+    log.write_text(f"{text()}1574568614860\tTYPE_WAYPOINT\t1\n")
+    survey = read_survey(log, SurveyFormat(trajectory=poses))
+    assert len(survey) == N
+    assert survey.waypoints is None
+    assert "expected 4 cells (sensor, time, x, y), found 3; " in caplog.text
+    assert "(none of its surveyed points is read)" in caplog.text
+    with pytest.raises(DataFormatError, match="found 3"):
+        open_walk(log, SurveyFormat(trajectory=poses), with_points=True)
 
 
 @pytest.mark.parametrize(

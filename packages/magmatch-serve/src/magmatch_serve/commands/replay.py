@@ -11,7 +11,6 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import refuse
 from magmatch.cli.outputs import check_outputs
-from magmatch.cli.walks import read_walk
 from magmatch_serve.commands.serve import read_token
 
 if TYPE_CHECKING:
@@ -38,6 +37,7 @@ def replay(
     Exit code 0: at least one pose was stated; 3: none was.
     """
     from magmatch.data.tables.tum import write_poses
+    from magmatch.preparation.odometry.open_walk import open_walk
     from magmatch_serve.replay import live_url
     from magmatch_serve.replay import replay as run
 
@@ -54,7 +54,9 @@ def replay(
             status = said["status"]
             say(f"{said['t']:.2f} s  {status.replace('_', ' ')}")
 
-    found = run(read_walk(log, layouts), url, speed=speed, token=token, on_pose=follow)
+    found = run(
+        open_walk(log, layouts.of(), with_points=False).survey(say), url, speed=speed, token=token, on_pose=follow
+    )
     say(tell(found))
     if out is not None:
         write_poses(out, found.times, found.poses)

@@ -21,7 +21,7 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
     """Tables of phones in a folder, an archive, or the file itself: where each stands, and how to read it."""
     place = Path(path)
     if is_folder(path):
-        names = sorted(entry.name for entry in place.iterdir())
+        names = sorted(entry.name for entry in place.iterdir() if not entry.is_fifo())  # which might be waited for
         found = phone_tables(names, lambda name: head_of_file(place / name))
         yield {place / name: partial(read_bytes, place / name) for name in found}
     elif not zipfile.is_zipfile(at_rest(path)):

@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from magmatch.data.geodesy import what_is_wrong
+from magmatch.data.surveyed_points import LATEST, SurveyedPoints
 from magmatch.errors import DataFormatError
 from magmatch.number_text import told
-from magmatch.typing import Indices, Matrix, Scalars, Vectors
+from magmatch.typing import Indices, Scalars, Vectors
 
 logger = logging.getLogger(__name__)
 
@@ -28,11 +28,9 @@ WORDS: dict[Sensor, str] = {
 }  # fmt: skip
 # s; a clock set back further than this is no matter of late rows.
 MAX_STEP_BACK = 1.0
-# Readings (T, m/s^2, rad/s) and times (s) beyond these are damage, stated in docs/formats.md; phones read up to 5 mT,
-# 160 m/s^2 and 35 rad/s.
-LARGEST, LATEST = 1e5, 1e12
-# m; the frame of a plan, or a map's projection: no place on Earth is further from its equator and meridian.
-FARTHEST = 1e8
+# Readings (T, m/s^2, rad/s) beyond this are damage, stated in docs/formats.md; phones read up to 5 mT, 160 m/s^2 and
+# 35 rad/s.
+LARGEST = 1e5
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # Median lengths of accelerations with gravity, in units of g: a phone in a hand is not in free fall.
 WITH_GRAVITY = (0.7, 1.3)
@@ -52,41 +50,6 @@ class Stream:
     def at(self, times: Scalars) -> Vectors:
         """Values interpolated to other times, held at the ends: (k, 3)."""
         return np.column_stack([np.interp(times, self.times, axis) for axis in self.values.T])
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class SurveyedPoints:
-    """Points of a plan that the walker marked when passing them."""
-
-    times: Scalars  # (n,), s: on the log's clock
-    places: Matrix  # (n, 2): x, y (m) in the plan's frame, or latitude, longitude (deg)
-    in_degrees: bool
-    floors: tuple[str, ...]  # those that they lie on, as far as the log says
-    source: str  # the kind of row they came from
-    lines: Indices  # (n,): where they stand in the file
-
-    @classmethod
-    def checked(
-        cls,
-        path: Path,
-        source: str,
-        times: Scalars,
-        places: Matrix,
-        lines: Indices,
-        floors: tuple[str, ...] = (),
-        *,
-        in_degrees: bool = False,
-    ) -> "SurveyedPoints":
-        """Points whose numbers are possible; DataFormatError names the first that is not."""
-        for time, (x, y), line in zip(times, places, lines, strict=True):
-            wrong = what_is_wrong(np.array([x]), np.array([y])) if in_degrees else ""
-            if not in_degrees and max(abs(x), abs(y)) > FARTHEST:
-                wrong = f"found x, y of {told(x)}, {told(y)}, expected metres within {FARTHEST:g} of the origin"
-            if abs(time) > LATEST:
-                wrong = f"found a time of {told(time)} s, expected one below {LATEST:g}"
-            if wrong:
-                raise DataFormatError(path, f"{source}: {wrong}", line=int(line))
-        return cls(times, places, in_degrees, floors, source, lines)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -3,6 +3,7 @@
 
 import logging
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -10,11 +11,12 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.phones.containers import opened_tables
 from magmatch.data.formats.phones.metadata import with_metadata
-from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream, SurveyedPoints
+from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
 from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import BROKEN_ZIP
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
@@ -66,10 +68,18 @@ def read_phone_log(
 
 
 def read_phone_recording(
-    path: str | Path, layout: SurveyFormat, sensor: Sensor | None = None, trajectory: Trajectory | None = None
+    path: str | Path,
+    layout: SurveyFormat,
+    sensor: Sensor | None = None,
+    trajectory: Trajectory | None = None,
+    log: PhoneLog | None = None,
 ) -> Recording:
-    """Join a magnetometer of a phone, by default its calibrated one, with poses: given, or of the layout's file."""
-    log = read_phone_log(path, (sensor or "field",), recover=layout.recover)
+    """Join a magnetometer of a phone, by default its calibrated one, with poses: given, or of the layout's file.
+
+    The log, if it is not given, is read, with the walker's points if they can be.
+    """
+    log = log or _with_points(path, sensor or "field", layout)
+    points = log.points
     if sensor is None and "field" not in log.streams:
         raw = read_phone_log(path, recover=layout.recover)
         if "raw_field" in raw.streams:
@@ -81,7 +91,17 @@ def read_phone_recording(
     stream = log.require(sensor or "field", "a survey")
     field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
     hint = "" if layout.trajectory or trajectory is not None else _odometry_hint(path)
-    return with_poses(path, stream.times, field, layout, hint, trajectory)
+    return replace(with_poses(path, stream.times, field, layout, hint, trajectory), waypoints=points)
+
+
+def _with_points(path: str | Path, sensor: Sensor, layout: SurveyFormat) -> PhoneLog:
+    """One sensor of a log with the walker's points; a fault of these alone is no fault of a survey."""
+    try:
+        return read_phone_log(path, (sensor,), recover=layout.recover, with_points=True)
+    except DataFormatError as fault:
+        log = read_phone_log(path, (sensor,), recover=layout.recover)
+        logger.warning("%s (none of its surveyed points is read)", fault)
+        return log
 
 
 def _odometry_hint(path: str | Path) -> str:

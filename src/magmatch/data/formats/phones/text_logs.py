@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from magmatch.data.formats.phones import getsensordata, xyz10
-from magmatch.data.formats.phones.phone_log import Sensor, Stream, SurveyedPoints
+from magmatch.data.formats.phones.phone_log import Sensor, Stream
+from magmatch.data.surveyed_points import SurveyedPoints
 
 HEAD = 1_000_000  # bytes that decide
 

@@ -5,8 +5,9 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, SurveyedPoints, stream_of
+from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import Row, lines_of, read_tagged
+from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.typing import Indices, Matrix
 
 APP = "XYZ10"
