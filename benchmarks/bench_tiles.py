@@ -18,7 +18,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.spline.spline_model import SplineModel
@@ -78,7 +78,7 @@ def walk(extent, n, gap):
 def measure(extent, n, gap, config, label):
     """Build a map in this process, and print what it took and how right it is."""
     survey, sources = walk(extent, n, gap)
-    build_map(walk((3, 3), 500, 0.6)[0])  # compiles
+    build_map(walk((3, 3), 500, 0.6)[0], SPLINE)  # compiles
     before = peak_mib() / 1024
     field_map, seconds, cpu = timed(build_map, survey, config)
     rng = np.random.default_rng(1)
@@ -96,11 +96,11 @@ def measure(extent, n, gap, config, label):
 
 
 def office():
-    return measure((40.0, 20.0), 40_000, 1.0, FieldConfig(), "office floor")[1]
+    return measure((40.0, 20.0), 40_000, 1.0, SPLINE, "office floor")[1]
 
 
 def million():
-    field_map, cost = measure((100.0, 100.0), 1_000_000, 1.5, FieldConfig(), "100 x 100 m")
+    field_map, cost = measure((100.0, 100.0), 1_000_000, 1.5, SPLINE, "100 x 100 m")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "large.map"
         saving, loading = timed(field_map.save, path).clock, timed(FieldMap.load, path).clock
@@ -148,7 +148,7 @@ FIXED = {"lengthscale": 1.2, "signal_sd": 4 * UT, "noise_sd": 0.5 * UT, "spacing
 def doubling(area):
     """One area at 100 samples a square metre."""
     side = np.sqrt(area)
-    return measure((side, side), int(100 * area), min(1.0, side / 3), FieldConfig(**FIXED), "doubling")[1]
+    return measure((side, side), int(100 * area), min(1.0, side / 3), SPLINE.model_copy(update=FIXED), "doubling")[1]
 
 
 def main():

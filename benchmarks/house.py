@@ -202,13 +202,14 @@ def calls_to_search() -> list[str]:
     from inspect import unwrap
 
     import magmatch as mm
+    from magmatch.field.config import SPLINE
     from magmatch.registration.register import register
 
     class Found(BaseException):
         """The first step has begun."""
 
     pair = mm.simulate("office-random", 0)
-    maps = [mm.build_map(survey) for survey in (pair.base, pair.target)]
+    maps = [mm.build_map(survey, SPLINE) for survey in (pair.base, pair.target)]
     found: list[str] = []
 
     def watch(frame: object, event: str, _: object) -> None:

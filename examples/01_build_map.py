@@ -15,7 +15,7 @@ import magmatch as mm
 
 
 def main(path: str | None = None) -> None:
-    survey = mm.read_survey(path or str(files("magmatch.data") / "samples" / "office" / "base.csv"))
+    survey = mm.read_survey(path or str(files(mm) / "data" / "samples" / "office" / "base.csv"))
     field_map = mm.build_map(survey)
     numbers = field_map.hyperparameters
     print(f"{len(survey)} samples, lengthscale {numbers.lengthscale:.2f} m, noise {1e6 * numbers.noise_sd:.2f} uT")

@@ -13,7 +13,7 @@ import magmatch as mm
 
 
 def main(base_path: str | None = None, target_path: str | None = None) -> None:
-    office = files("magmatch.data") / "samples" / "office"
+    office = files(mm) / "data" / "samples" / "office"
     base = mm.read_survey(base_path or str(office / "base.csv"))
     target = mm.read_survey(target_path or str(office / "target.csv"))
 

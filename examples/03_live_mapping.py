@@ -15,7 +15,7 @@ import magmatch as mm
 
 
 def main(path: str | None = None) -> None:
-    survey = mm.read_survey(path or str(files("magmatch.data") / "samples" / "office" / "base.csv"))
+    survey = mm.read_survey(path or str(files(mm) / "data" / "samples" / "office" / "base.csv"))
     samples = list(zip(survey.positions, survey.field, strict=True))
     half = len(samples) // 2
 

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 import magmatch as mm
 from magmatch import published
 from magmatch.published import Inferred, LocalFrames
-from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation import SimulationConfig
 
 
 def sorted_magnitudes(inferred: Inferred, frames: LocalFrames) -> np.ndarray:

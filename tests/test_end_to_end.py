@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.geometry import log_se3, random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
@@ -19,7 +20,7 @@ SMALL = SimulationConfig(n_samples=900)
 @pytest.fixture(scope="module")
 def office():
     pair = mm.simulate("office-random", 11, SMALL)
-    base_map, target_map = mm.build_map(pair.base), mm.build_map(pair.target)
+    base_map, target_map = mm.build_map(pair.base, SPLINE), mm.build_map(pair.target, SPLINE)
     return pair, base_map, target_map, mm.register(base_map, target_map)
 
 
@@ -68,7 +69,7 @@ def test_walks_along_the_path_of_another_are_refined_from_both_sides():
     errors = []
     for seed in (301, 302, 303):
         pair = mm.simulate("corridor", seed)
-        base = prepare_index(mm.build_map(pair.base), PRESETS["default"])
+        base = prepare_index(mm.build_map(pair.base, SPLINE), PRESETS["default"])
         result = mm.register(base, pair.target)
         assert result.is_accepted
         xi = log_se3(result.T_base_target.inv() * pair.T_base_target)

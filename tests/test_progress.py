@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.field.query import query_map
 from magmatch.progress import counted, followed, tell
 from magmatch.simulation.config import SimulationConfig
@@ -25,7 +26,7 @@ class Heard(list):
 def test_every_verb_tells_the_same_callback_and_gives_the_same_answer(pair, tmp_path):
     turned = mm.simulate("office-hand-held", 3, SimulationConfig(n_samples=300)).target
     calls = {
-        "map": lambda heard: mm.build_map(pair.base, progress=heard),
+        "map": lambda heard: mm.build_map(pair.base, SPLINE, progress=heard),
         "register": lambda heard: mm.register(pair.base, pair.target, progress=heard),
         "prepare": lambda heard: mm.prepare(turned, progress=heard),
     }
@@ -34,7 +35,7 @@ def test_every_verb_tells_the_same_callback_and_gives_the_same_answer(pair, tmp_
     assert all(told.values())
     field_map = given["map"]
     at = pair.base.positions[:10]
-    np.testing.assert_array_equal(field_map.evaluate(at).field, mm.build_map(pair.base).evaluate(at).field)
+    np.testing.assert_array_equal(field_map.evaluate(at).field, mm.build_map(pair.base, SPLINE).evaluate(at).field)
     field_map.save(tmp_path / "a.map")
     calls = (
         lambda heard: mm.open_atlas(tmp_path, progress=heard),
@@ -74,4 +75,4 @@ def test_what_a_callback_raises_ends_the_work(pair):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        mm.build_map(pair.base, progress=stop)
+        mm.build_map(pair.base, SPLINE, progress=stop)

@@ -11,6 +11,7 @@ whether swapping base and target inverts it, in its standard deviations. One thr
 import numpy as np
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.geometry import log_se3, random_transform
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.saved_table import saver, show
@@ -29,7 +30,7 @@ def grow(seed: int) -> list[list[str]]:
     for n, side in sizes:
         config = SimulationConfig(n_samples=n, room_size=(side, side, 0.8))
         pair = mm.simulate("office-random", seed, config)
-        maps, _, mapping = timed(lambda pair=pair: [mm.build_map(s) for s in (pair.base, pair.target)])
+        maps, _, mapping = timed(lambda pair=pair: [mm.build_map(s, SPLINE) for s in (pair.base, pair.target)])
         mm.register(*maps)
         result, _, matching = timed(mm.register, *maps)
         rows.append([f"{n:,}", f"{side**2:.0f}", f"{mapping:.2f}", f"{matching:.2f}", result.status.value])
@@ -41,7 +42,7 @@ def turn(seed: int, n_frames: int) -> list[list[str]]:
     """Largest deviations over random frames, in standard deviations and in m and rad."""
     rng = np.random.default_rng(seed)
     pair = mm.simulate("office-random", seed, SimulationConfig(n_samples=3000))
-    maps = [mm.build_map(s) for s in (pair.base, pair.target)]
+    maps = [mm.build_map(s, SPLINE) for s in (pair.base, pair.target)]
     own, rows = mm.register(*maps), []
     n_anew = max(1, n_frames // 50)
     for title, n in (("maps carried along", n_frames), ("surveys mapped anew", n_anew)):

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import chdtri
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.simulation.config import SimulationConfig
@@ -62,7 +63,7 @@ def main() -> None:
         before: mm.FieldMap | None = None
         for seed in range(asked.first, asked.first + n):
             pair = mm.simulate("corridor", seed, SimulationConfig(pose_drift=drift))
-            base = mm.build_map(pair.base)
+            base = mm.build_map(pair.base, SPLINE)
             for prior, aligned in (("any pose", False), ("`--gravity-aligned`", True)):
                 rows[prior].append(judged(register(base, pair.target, aligned=aligned), pair))
             if before is not None:

@@ -30,6 +30,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.field.config import SPLINE
 from magmatch.geometry import path_walked
 from magmatch.localization.localize import localize
 from magmatch.registration.index.map_index import prepare_index
@@ -100,7 +101,7 @@ def place_of(name, data, out):
 def indexed(path, surveys):
     """The map at a path with its index, each made where it is not there yet."""
     if not path.exists():
-        mm.build_map(surveys()).save(path)
+        mm.build_map(surveys(), SPLINE).save(path)
     return prepare_index(mm.FieldMap.load(path), mm.RegistrationConfig())
 
 

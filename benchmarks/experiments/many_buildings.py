@@ -28,6 +28,7 @@ from short_walks import MAX_DEG, MAX_M, stretches
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
+from magmatch.field.config import SPLINE
 from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
@@ -111,7 +112,7 @@ def make_maps(folder: Path, places: Iterable[tuple[str, Callable[[], mm.Survey]]
     for name, make in places:
         path = folder / f"{name}.map"
         if not path.exists():
-            mm.build_map(make()).save(path)
+            mm.build_map(make(), SPLINE).save(path)
             n_built += 1
     print(f"{n_built} maps built in {time.perf_counter() - start:.0f} s")
 

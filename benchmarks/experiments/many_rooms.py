@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scene import SimulatedPair
 from magmatch_evaluation.saved_table import saver, show
@@ -55,7 +56,7 @@ def load(path: Path) -> mm.FieldMap:
 def map_of(survey: mm.Survey, path: Path) -> mm.FieldMap:
     """Map of a survey, made once."""
     if not path.exists():
-        mm.build_map(survey).save(path)
+        mm.build_map(survey, SPLINE).save(path)
     return load(path)
 
 

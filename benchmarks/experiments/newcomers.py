@@ -32,6 +32,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.weigh.bend import DRIFTS
 from magmatch_evaluation.saved_table import saver, show
@@ -77,7 +78,7 @@ def map_of(data: Path, out: Path, *walks: str) -> mm.FieldMap:
     """Map of walks, made once."""
     path = out / f"{'+'.join(walks)}.map"
     if not path.exists():
-        mm.build_map([survey(data, out, walk) for walk in walks]).save(path)
+        mm.build_map([survey(data, out, walk) for walk in walks], SPLINE).save(path)
     return mm.FieldMap.load(path)
 
 

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
+from magmatch.field.config import SPLINE
 from magmatch.preparation.calibrate_in_place import fit_ellipsoid
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.preparation.prepare import prepare
@@ -71,7 +72,7 @@ def run(seed: int, asked: Namespace) -> list[float]:
     rng = np.random.default_rng(seed)
     raw, corruption = corrupted(pair.target, asked, rng)
     (prepared, report), seconds, _ = timed(prepare, raw, sensor=spun(corruption, rng) if asked.spin else None)
-    base_map = mm.build_map(pair.base)
+    base_map = mm.build_map(pair.base, SPLINE)
     row: list[float] = []
     for target in (pair.target, raw, prepared):
         result = mm.register(base_map, target)

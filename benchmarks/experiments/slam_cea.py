@@ -22,8 +22,8 @@ from slam_walks import aligned_rms
 
 import magmatch as mm
 from magmatch.geometry import path_walked
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.simulation.paths import heading_along, upright
-from magmatch.slam.config import OdometryConfig
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, in_groups, kept, timed
 

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
+from magmatch.field.config import SPLINE
 from magmatch.geometry import path_walked
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, rmse_ut, timed
@@ -37,7 +38,7 @@ def near(log: mm.Survey, first: np.ndarray, second: np.ndarray, distance: float)
 
 def missed(log: mm.Survey, first: np.ndarray, rows: np.ndarray) -> float:
     """Rms error of the field of some samples, predicted from the first half, uT."""
-    seen = mm.build_map(log.subset(first)).evaluate(log.positions[rows])
+    seen = mm.build_map(log.subset(first), SPLINE).evaluate(log.positions[rows])
     return rmse_ut(seen.field, log.field[rows])
 
 

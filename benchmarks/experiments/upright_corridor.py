@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 from magmatch.geometry import transform_error
 from magmatch.registration.config import RegistrationConfig
 from magmatch.simulation.config import SimulationConfig
@@ -57,7 +58,7 @@ def main() -> None:
         pair = mm.simulate("corridor", seed)
         for name, is_upright in zip(names[:2], (False, True), strict=True):
             found[name].append((1.0, *errors(oracle(seed, pair, is_upright=is_upright), pair), np.nan))
-        base, target = mm.build_map(pair.base), mm.build_map(pair.target)
+        base, target = mm.build_map(pair.base, SPLINE), mm.build_map(pair.target, SPLINE)
         for name, prior in priors.items():
             result = mm.register(base, target, RegistrationConfig.model_validate({"prior": prior}))
             assert result.best_pose is not None

@@ -1,19 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The base class of all settings: frozen, with errors in one sentence."""
 
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Mapping
+from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from magmatch.errors import ConfigurationError, first_fault
 
-if TYPE_CHECKING:
-    from pydantic._internal._model_construction import ModelMetaclass
-else:  # its name is not public
-    ModelMetaclass = type(BaseModel)
 
-
-class _OneSentence(ModelMetaclass):
+class _OneSentence(type(BaseModel)):  # type: ignore[misc]  # pydantic gives its metaclass no public name
     """Turns pydantic's list of faults into the first of them, where settings are made by calling their class."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
@@ -38,7 +34,30 @@ def of_vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:
     return {"is_planar": True} if planar else {"is_gravity_aligned": False} if no_gravity else {}
 
 
-class Settings(BaseModel, metaclass=_OneSentence):
+class Settings(BaseModel, metaclass=cast("Any", _OneSentence)):  # type: ignore[metaclass]
     """Settings of a step; reading them from files (`model_validate`) raises pydantic's own error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _changed(cls, given: Any) -> Any:
+        """A mapping given for a part changes what it names, and leaves the rest as this class has it by default."""
+        if not isinstance(given, Mapping):
+            return given
+        parts = {name: field.get_default(call_default_factory=True) for name, field in cls.model_fields.items()}
+        return {
+            name: over(part.model_dump(), value)
+            if isinstance(part := parts.get(name), BaseModel) and isinstance(value, Mapping)
+            else value
+            for name, value in given.items()
+        }
+
+
+def over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Merge nested settings; those above take precedence."""
+    result = dict(below)
+    for key, value in above.items():
+        inner = result.get(key)
+        result[key] = over(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
+    return result

@@ -9,6 +9,7 @@ import pytest
 
 import magmatch as mm
 from drifting import Place, drifting_walk
+from magmatch.field.config import SPLINE
 
 pytest.importorskip("plotly", reason="the report is drawn with the extra 'viz'")
 
@@ -19,7 +20,7 @@ def hall(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hall")
     _, truth = drifting_walk(Place(1), 7, laps=3.0)
     field = Place(1).field(truth) + 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
-    mm.build_map(mm.Survey(truth, field, name="hall")).save(folder / "hall.map")
+    mm.build_map(mm.Survey(truth, field, name="hall"), SPLINE).save(folder / "hall.map")
     log, truth = drifting_walk(Place(1), 3, laps=0.8)
     log.save(folder / "walk.csv")
     np.save(folder / "truth.npy", truth)

@@ -76,10 +76,10 @@ def test_rows_of_other_settings_are_not_taken(tmp_path):
 
 
 def test_method_that_breaks_down_has_failed_and_the_others_go_on(tmp_path):
-    methods = {"one": toy.Spoilt("one", faulty_seed=1), "two": toy.Spoilt("two")}
+    methods = {"one": toy.Spoilt("one", faulty_seed=1001), "two": toy.Spoilt("two")}
     rows = evaluate(make_plan([toy.toy_experiment()], methods, n_seeds=3), tmp_path)
     fault = next(row for row in rows if row.status == "fault")
-    assert (fault.method, fault.seed, fault.reason) == ("one", 1, "ValueError: broke down")
+    assert (fault.method, fault.seed, fault.reason) == ("one", 1001, "ValueError: broke down")
     assert len(rows) == 6
 
 

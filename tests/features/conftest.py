@@ -93,7 +93,7 @@ def true_map(source, survey, T_world_survey):
     T_survey_model = survey.principal_frame()
     model = survey.transformed(T_survey_model.inv()).positions
     posterior = TruePosterior(source, T_world_survey * T_survey_model, model.min(axis=0), model.max(axis=0), NUMBERS)
-    return FieldMap(survey, posterior, T_survey_model, FieldConfig(), T_survey_model)
+    return FieldMap(survey, posterior, T_survey_model, FieldConfig(prior="spline"), T_survey_model)
 
 
 def survey_in(source, x, T_world_survey):

@@ -10,6 +10,7 @@ from magmatch.features.config import FeatureConfig
 from magmatch.features.descriptors import N_DIMENSIONS, component_range
 from magmatch.features.extract import extract_features
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.geometry import random_transform
 from magmatch.simulation.simulate import simulate
 
@@ -68,7 +69,7 @@ def test_descriptors_of_two_surveys_of_one_room_look_alike(make_map, seed):
 
 def test_two_surveys_of_a_room_mapped_by_the_default_prior_have_about_as_many_keypoints():
     pair = simulate("office", seed=1)
-    one, other = (extract_features(build_map(survey)) for survey in (pair.base, pair.target))
+    one, other = (extract_features(build_map(survey, SPLINE)) for survey in (pair.base, pair.target))
     assert 0.5 < len(one) / len(other) < 2
     assert min(one.response.min(), other.response.min()) > 0
 

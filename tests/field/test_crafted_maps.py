@@ -25,7 +25,7 @@ def whole(tmp_path_factory):
     rng = np.random.default_rng(0)
     p = rng.uniform(0, [2.0, 1.5, 0.5], (60, 3))
     b = 4e-5 + 1e-5 * np.stack([np.sin(p[:, 0]), np.cos(p[:, 1]), np.sin(p[:, 2] + p[:, 0])], axis=1)
-    config = FieldConfig(lengthscale=0.8, signal_sd=1e-5, noise_sd=1e-7, spacing=0.5)
+    config = FieldConfig(prior="spline", lengthscale=0.8, signal_sd=1e-5, noise_sd=1e-7, spacing=0.5)
     path = tmp_path_factory.mktemp("maps") / "m"
     build_map(Survey(p, b, np.arange(60.0), Rotation.random(60, rng=rng)), config).save(path)
     return path.read_bytes()

@@ -45,7 +45,7 @@ def test_the_box_moves_with_its_map_and_is_saved_with_it(bounded, tmp_path):
 
 def test_a_box_inside_out_is_refused():
     with pytest.raises(ConfigurationError, match="x0 < x1"):
-        FieldConfig(domain=(1, 0, 0, 0, 1, 1))
+        FieldConfig(prior="spline", domain=(1, 0, 0, 0, 1, 1))
 
 
 def test_points_outside_the_box_are_known_as_little_as_the_prior_says(bounded):

@@ -12,6 +12,7 @@ import magmatch as mm
 from drifting import Place, drifting_walk
 from magmatch.cli.localize import tell
 from magmatch.errors import DataFormatError
+from magmatch.field.config import SPLINE
 from magmatch.localization.belief import Belief
 from magmatch.localization.kept_state import KINDS, SCHEMA, restored, state_of
 from magmatch.localization.known_places import KnownPlaces, NotReadyError
@@ -26,7 +27,7 @@ def folder(tmp_path_factory):
     for k, name in enumerate(("attic", "cellar", "hall")):
         _, truth = drifting_walk(Place(40 + k), 40 + k, laps=3.0)
         field = Place(40 + k).field(truth) + 2e-7 * rng.standard_normal(truth.shape)
-        mm.build_map(mm.Survey(truth, field, name=name)).save(folder / f"{name}.map")
+        mm.build_map(mm.Survey(truth, field, name=name), SPLINE).save(folder / f"{name}.map")
     return folder
 
 

@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from drifting import Place, about_z, drifting_walk, loop
+from magmatch.field.config import SPLINE
 from magmatch.localization.samples import OdometryJump, unit_rows
 
 
@@ -142,7 +143,7 @@ def test_the_field_turns_with_the_map(place, followed):
 
 def test_in_a_constant_field_nothing_is_stated_and_the_reason_is_named(followed):
     rng = np.random.default_rng(0)
-    field_map = mm.build_map(mm.Survey(rng.uniform(0, 3, (60, 3)), np.tile([2e-5, 0.0, -4e-5], (60, 1))))
+    field_map = mm.build_map(mm.Survey(rng.uniform(0, 3, (60, 3)), np.tile([2e-5, 0.0, -4e-5], (60, 1))), SPLINE)
     result = mm.localize(field_map, followed.log).result()
     assert (result.status, result.share) == ("never", 0.0)
     assert "constant" in result.reason

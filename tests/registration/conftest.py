@@ -75,7 +75,7 @@ def exact_map(source, survey, T_world_survey, noise_sd=0.3e-6):
     model = survey.transformed(T_survey_model.inv()).positions
     numbers = Hyperparameters(0.6, 15e-6, noise_sd, 0.2)
     posterior = ExactPosterior(source, T_world_survey * T_survey_model, model.min(axis=0), model.max(axis=0), numbers)
-    return FieldMap(survey, posterior, T_survey_model, FieldConfig(), T_survey_model)
+    return FieldMap(survey, posterior, T_survey_model, FieldConfig(prior="spline"), T_survey_model)
 
 
 def room_of_dipoles(seed, n=40):

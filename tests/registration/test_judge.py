@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from magmatch.errors import ConfigurationError
+from magmatch.field.config import SPLINE
 from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
 from magmatch.simulation.config import SimulationConfig
 
@@ -18,8 +19,8 @@ class Place:
 
     def __init__(self, scenario, seed, n_samples, *, is_walk=False):
         pair = mm.simulate(scenario, seed, SimulationConfig(n_samples=n_samples))
-        self.base, self.T = mm.build_map(pair.base), pair.T_base_target
-        self.target = pair.target.subset(np.arange(250)) if is_walk else mm.build_map(pair.target)
+        self.base, self.T = mm.build_map(pair.base, SPLINE), pair.T_base_target
+        self.target = pair.target.subset(np.arange(250)) if is_walk else mm.build_map(pair.target, SPLINE)
         self.center = pair.target.centroid
         self.found = mm.register(self.base, self.target)
 
@@ -106,7 +107,7 @@ def test_a_candidate_supplies_what_the_search_missed(place):
 def test_two_poses_that_fit_alike_are_ambiguous():
     """Three equal rooms in a row: one pose alone is sure, its twin beside it is a rival."""
     pair = mm.simulate("repeated", 2, SimulationConfig(n_samples=900))
-    base, target = mm.build_map(pair.base), mm.build_map(pair.target)
+    base, target = mm.build_map(pair.base, SPLINE), mm.build_map(pair.target, SPLINE)
     along = pair.config.room_size[0] * pair.base.principal_frame().rotation.as_matrix()[:, 0]
     twin = RigidTransform.from_translation(along) * pair.T_base_target
     result = mm.judge(base, target, [pair.T_base_target, twin])

@@ -8,6 +8,7 @@ import pytest
 
 from magmatch.errors import DataFormatError
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.geometry import transform_error
 from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.registration.config import PRESETS
@@ -39,7 +40,7 @@ def raw(pair):
 
 @pytest.fixture(scope="module")
 def base_map(pair):
-    return build_map(pair.base)
+    return build_map(pair.base, SPLINE)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +89,7 @@ def test_what_was_undone_can_be_undone_again_from_the_result(raw, found):
 
 
 def test_a_raw_base_is_calibrated_whatever_form_it_comes_in(base_map, raw):
-    raw_map = build_map(raw[0])
+    raw_map = build_map(raw[0], SPLINE)
     forms = raw_map, prepare_index(raw_map, POINTS)
     results = [register(form, base_map, POINTS) for form in forms]
     for result in results:
@@ -119,7 +120,7 @@ def test_a_file_with_an_odd_calibration_is_refused(found, tmp_path, odd):
 
 
 def test_a_clean_pair_is_registered_once(pair, base_map):
-    target = build_map(pair.target)
+    target = build_map(pair.target, SPLINE)
     result, plain = register(base_map, target), register(base_map, target, AS_IT_IS)
     np.testing.assert_array_equal(result.T_base_target.as_matrix(), plain.T_base_target.as_matrix())
     assert in_words(result.sensor) == in_words(plain.sensor) == {}
@@ -130,24 +131,22 @@ def test_a_clean_pair_is_registered_once(pair, base_map):
 @pytest.mark.parametrize(
     ("as_given", "calibrated", "taken"),
     [
-        ((True, 0.999), (True, 0.99), "calibrated"),
-        ((True, 0.99), (False, 0.999), "as given"),
-        ((False, 0.999), (True, 0.99), "calibrated"),
-        ((False, 0.3), (False, 0.2), "as given"),
-        ((False, 0.2), (False, 0.3), "calibrated"),
-        ((False, 0.2), (False, 0.2), "as given"),
-        ((False, None), (False, 0.1), "calibrated"),
-        ((False, 0.1), (False, None), "as given"),
-        ((False, None), (False, None), "as given"),
+        (30.0, 30.0, "calibrated"),
+        # The readings alone hold ten nats for a field that turns with the sensor.
+        (39.0, 30.0, "calibrated"),
+        (41.0, 30.0, "as given"),
+        (-5.0, -20.0, "as given"),
+        (None, -20.0, "calibrated"),
+        (30.0, None, "as given"),
+        (None, None, "as given"),
     ],
 )
-def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
-    def answer(is_accepted, probability):
-        status = Status.ACCEPTED if is_accepted else Status.INCONSISTENT
-        return RegistrationResult(status, "", pair.T_base_target, probability=probability)
+def test_the_likelier_model_of_the_sensors_is_taken(pair, raw, as_given, calibrated, taken):
+    def answer(effective):
+        return RegistrationResult(Status.INCONSISTENT, "", pair.T_base_target, evidence={"effective": effective})
 
-    first, second = answer(*as_given), answer(*calibrated)
-    sides = {"target": Calibrated(raw[0], SensorCorrection(time_offset=0.01))}
+    first, second = answer(as_given), answer(calibrated)
+    sides = {"target": Calibrated(raw[0], SensorCorrection(time_offset=0.01), 10.0)}
     (chosen,) = better_supported((first,), (second,), sides)
     assert (chosen is first) == (taken == "as given")
     assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})

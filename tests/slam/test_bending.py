@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.slam.bending import bend, lasting_errors, turned
-from magmatch.slam.config import OdometryConfig
 
 RNG = np.random.default_rng(3)
 PATH = np.cumsum(RNG.normal(size=(9, 3)), axis=0)

@@ -8,7 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk, submap_at
-from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.preparation.odometry.drift import OdometryConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.run import slam
 from magmatch.slam.search.loop_closure import SAME_SHIFT, Rough, matches

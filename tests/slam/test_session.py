@@ -14,10 +14,11 @@ from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.geometry import adjoint, exp_se3, random_transform
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.runner import Runner
 from magmatch.slam.begin import settled
-from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.loop_closer import LoopCloser

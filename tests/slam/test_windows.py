@@ -9,8 +9,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
+from magmatch.preparation.odometry.drift import lie_level
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.odometry import lie_level, odometry_graph
+from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.windows import cut

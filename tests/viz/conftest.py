@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_points
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
@@ -65,4 +66,4 @@ def pair() -> Pair:
         probability=0.4,
         degenerate_directions=(DegenerateDirection(np.eye(6)[3], "sliding along base x"),),
     )
-    return Pair(base, target, build_map(base), build_map(target), accepted, refused)
+    return Pair(base, target, build_map(base, SPLINE), build_map(target, SPLINE), accepted, refused)

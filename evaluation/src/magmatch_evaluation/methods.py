@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.register import register
@@ -19,7 +19,7 @@ from magmatch_evaluation.baselines.local_refinement import GicpConfig, register_
 from magmatch_evaluation.baselines.sift_layers import SiftConfig, register_by_sift
 from magmatch_evaluation.survey_pairs import ROUGH_WORDS
 
-PAPER, OUR_FIELD = PRESETS["paper"], FieldConfig()
+PAPER, OUR_FIELD = PRESETS["paper"], SPLINE
 
 
 @dataclass(frozen=True, eq=False, slots=True)

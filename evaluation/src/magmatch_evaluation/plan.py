@@ -50,7 +50,7 @@ def make_plan(
     methods: Mapping[str, Method],
     *,
     n_seeds: int | None = None,
-    first_seed: int = 0,
+    first_seed: int = 1000,
     recordings: Path | None = None,
 ) -> Plan:
     """Lay out the trials of a run.

@@ -10,6 +10,7 @@ from hypothesis import settings
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch_serve.serve import prepare_once
 from serving import serving
 
@@ -24,7 +25,7 @@ def hall(tmp_path_factory):
     folder = tmp_path_factory.mktemp("hall")
     _, truth = drifting_walk(Place(1), 7, laps=4.0)
     noise = 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
-    build_map(Survey(truth, Place(1).field(truth) + noise, name="hall")).save(folder / "hall.map")
+    build_map(Survey(truth, Place(1).field(truth) + noise, name="hall"), SPLINE).save(folder / "hall.map")
     # As the first service of it leaves it, and every process that is started finds it.
     prepare_once(folder / "hall.map")
 

@@ -18,6 +18,7 @@ from websockets.sync.client import connect
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.field.map import FieldMap
 from magmatch.localization.localize import localize
 from magmatch.registration.index.map_index import index_path
@@ -32,7 +33,7 @@ def other(tmp_path_factory):
     """A map of another hall."""
     path = tmp_path_factory.mktemp("other") / "other.map"
     _, truth = drifting_walk(Place(2), 7, laps=2.0)
-    build_map(Survey(truth, Place(2).field(truth), name="other")).save(path)
+    build_map(Survey(truth, Place(2).field(truth), name="other"), SPLINE).save(path)
     return path
 
 

@@ -67,9 +67,10 @@ def localize(
 
     Exit code 0: at least one pose is stated; 3: never localized, with the reason.
     """
-    from magmatch.localization.config import DEAD_RECKONING_SD, LocalizerConfig
+    from magmatch.localization.config import LocalizerConfig
     from magmatch.localization.known_places import open_place
     from magmatch.localization.localize import localize as run
+    from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
     check_outputs((out,), inputs=(place, log, config), page=report)

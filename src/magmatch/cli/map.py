@@ -85,7 +85,7 @@ def build(
             grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
         draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
         return
-    settings = merged(FieldConfig(prior="auto"), config, "field")
+    settings = merged(FieldConfig(), config, "field")
     stated: dict[str, Any] = {} if prior is None else {"prior": one_of("--prior", prior, ("auto", *PRIORS))}
     if domain is not None:
         stated["domain"] = parse_domain(domain)

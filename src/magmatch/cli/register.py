@@ -66,7 +66,7 @@ def register(
     ] = None,
     prior_pose_sd: Annotated[
         str | None,
-        typer.Option(help="Standard deviations of that pose at the target: metres,degrees.  [default: 1,10]"),
+        typer.Option(help="Standard deviations of that pose at the target: metres,degrees.  [default: 1,9.7]"),
     ] = None,
     gravity_aligned: Annotated[
         bool, typer.Option("--gravity-aligned", help="z points up in both surveys: search position and heading only.")
@@ -76,7 +76,7 @@ def register(
         typer.Option("--planar", help="As --gravity-aligned, with a common height: search x, y and heading only."),
     ] = False,
     gravity_sd: Annotated[
-        float | None, typer.Option(help="Accuracy of the vertical, degrees.  [default: 0.6]", min=0.001, max=45)
+        float | None, typer.Option(help="Accuracy of the vertical, degrees.  [default: 0.57]", min=0.001, max=45)
     ] = None,
     min_probability: Annotated[
         float | None, typer.Option(help="Least probability of an accepted pose.  [default: 0.99]")

@@ -2,7 +2,7 @@
 """Configuration from a preset and a YAML file; errors name the setting."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from magmatch.cli.option_values import one_of
 from magmatch.errors import ConfigurationError, DataFormatError, first_fault
+from magmatch.settings import over
 
 if TYPE_CHECKING:
     from magmatch.registration.config import RegistrationConfig
@@ -37,7 +38,7 @@ def registration_config(preset: str, path: Path | None, sensor: str = "auto") ->
     if config.search == "keypoints" and sensor != "none":
         msg = f"--sensor {sensor}: these settings do not refine the pose, so none is estimated; use auto or none"
         raise ConfigurationError(msg)
-    return type(config).model_validate(_over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))
+    return type(config).model_validate(over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))
 
 
 def merged(config: Config, path: Path | None, part: str = "") -> Config:
@@ -48,7 +49,7 @@ def merged(config: Config, path: Path | None, part: str = "") -> Config:
     if part and isinstance(settings.get(part), dict):
         settings = settings[part]
     try:
-        return type(config).model_validate(_over(config.model_dump(), settings))
+        return type(config).model_validate(over(config.model_dump(), settings))
     except ValidationError as error:
         place, words = first_fault(error)
         first = error.errors()[0]
@@ -92,15 +93,6 @@ def _parsed(path: Path) -> Any:
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(path, f"is not YAML: {' '.join(str(error).split())[:200]}") from None
-
-
-def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge nested settings; those above take precedence."""
-    result = dict(below)
-    for key, value in above.items():
-        inner = result.get(key)
-        result[key] = _over(inner, value) if isinstance(inner, dict) and isinstance(value, dict) else value
-    return result
 
 
 def _known_names(model: type[BaseModel], place: Sequence[int | str]) -> str:

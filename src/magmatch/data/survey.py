@@ -243,7 +243,7 @@ class Survey:
             Names of columns, if they differ: ``{"x": "pos_x", "bx": "mag_x"}``.
         field_frame : {"survey", "sensor"}
             Frame of the field vectors; the sensor's needs orientations.
-        frame, name, pose_sd
+        frame, name, pose_sd : optional
             See `Survey`; by default frame and accuracy are what columns ``survey_frame`` and ``pose_sd`` say.
         origin : str, optional
             ``"LATITUDE,LONGITUDE,ALTITUDE"`` at which x = y = z = 0, of samples with latitude and longitude; by

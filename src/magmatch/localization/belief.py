@@ -28,7 +28,7 @@ from magmatch.localization.weigh_hypotheses import (
 )
 from magmatch.registration.decide.decision import in_words, too_low
 from magmatch.registration.decide.estimate import worst_sd
-from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
+from magmatch.registration.decide.posterior import Answer, Posterior, log_odds, posterior_of
 from magmatch.typing import Matrix
 
 # Length of a bin in field lengths: short against the field's changes, long against noise.
@@ -185,7 +185,7 @@ class Belief:
     def judge(self, elsewhere: float) -> None:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
         decision = self._config.decision
-        self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere)
+        self._found = posterior_of([Answer.of([w]) for w in self._weighed], decision.prior_odds, elsewhere)
         self._words = f"probability {in_words(self._found.best)}"
         is_known = self._is_place_known()
         off = self._too_uncertain() if is_known else ""

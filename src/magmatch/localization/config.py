@@ -5,12 +5,9 @@ from math import radians
 
 from pydantic import Field
 
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.registration.decide.decision import RIGHT_WITHIN, DecisionConfig
 from magmatch.settings import Settings
-from magmatch.slam.config import OdometryConfig
-
-# Drift (m, deg in 10 m) of steps counted and turned by a phone's own sensors.
-DEAD_RECKONING_SD = (0.5, 6.0)
 
 
 class LocalizerConfig(Settings):

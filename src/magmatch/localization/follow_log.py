@@ -17,11 +17,11 @@ from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.samples import OdometryJump
 from magmatch.localization.track import Track
+from magmatch.preparation.odometry.drift import lie_level
 from magmatch.progress import tell
 from magmatch.registration.clock import Clock
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.maps import map_of, survey_of
-from magmatch.slam.graph.odometry import lie_level
 from magmatch.threads import one_blas_thread
 
 log = logging.getLogger(__name__)

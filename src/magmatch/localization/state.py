@@ -15,7 +15,7 @@ from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.matern import transition, transition_of
-from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
+from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import Matrix, Vector3
 
 THETA, PLACE, BIAS, MISFIT, ERROR, GAIN, MISFIT_SLOPE, ERROR_SLOPE, SCALE, N = 0, 3, 6, 9, 12, 15, 16, 19, 22, 23

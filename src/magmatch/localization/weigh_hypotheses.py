@@ -33,6 +33,7 @@ class WeighedHypothesis:
     misfit: float
     factor: float
     kind: Kind = "log"
+    model: str = "follows the log"
 
     @property
     def T_base_target(self) -> RigidTransform:

@@ -6,7 +6,7 @@ from typing import Literal
 from pydantic import Field
 
 from magmatch.arguments import expect_kind
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.published.config import LITERAL, PublishedConfig
 from magmatch.published.register import FIELD
 from magmatch.registration.decide.decision import DecisionConfig
@@ -30,7 +30,7 @@ class RegistrationConfig(Settings):
     """Everything that shapes a registration, stage by stage."""
 
     # How surveys are mapped.
-    field: FieldConfig = Field(default_factory=FieldConfig)
+    field: FieldConfig = SPLINE
     # 'invariants': a frame and a descriptor at every point; 'pairs': pairs of points, for a walk, along which the
     # gradient across it is unknown; 'auto': pairs for short lines, invariants otherwise and if pairs refuse;
     # 'keypoints': the published method, which uses only `field` and `keypoints`.

@@ -4,7 +4,7 @@
 import numpy as np
 
 from magmatch.geometry import path_walked, skew
-from magmatch.slam.config import OdometryConfig
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.typing import Matrix, Points
 
 

@@ -6,42 +6,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from magmatch.data.units import STATED_OVER
+from magmatch.preparation.odometry.drift import Drift, OdometryConfig
 from magmatch.registration.search.pair_search import PairSearchConfig
 from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 from magmatch.typing import Indices
 
-Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Latitude = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Longitude = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
-# Standard deviations after a walk of 10 m: per axis (m), and about each axis that drifts (deg).
-Drift = tuple[Deviation, Deviation]
-
-
-class OdometryConfig(Settings):
-    """Drift of odometry: a random walk of position and heading, and two constant errors."""
-
-    sd: Drift = (0.3, 4.0)
-    # Lasting errors: of the length of each step, as a share; and of the turn rate, as a share of the random turn over
-    # 10 m: good odometry is good in both.
-    scale_sd: float = Field(default=0.05, ge=0)
-    turn_share: float = Field(default=0.5, ge=0)
-
-    @property
-    def translation_sd(self) -> float:
-        """Standard deviation of the place after a metre walked, m."""
-        return self.sd[0] / float(np.sqrt(STATED_OVER))
-
-    @property
-    def rotation_sd(self) -> float:
-        """Standard deviation of the heading after a metre walked, rad."""
-        return float(np.radians(self.sd[1]) / np.sqrt(STATED_OVER))
-
-    @property
-    def turn_rate_sd(self) -> float:
-        """Standard deviation of the constant error of the turn rate, rad/m."""
-        return float(np.radians(self.turn_share * self.sd[1]) / STATED_OVER)
 
 
 class SlamConfig(Settings):

@@ -20,14 +20,15 @@ from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.map import FieldMap
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
 from magmatch.slam.begin import settled
-from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
@@ -273,7 +274,7 @@ class Session:
         whole_number_of(component, "component", most=len(self.components) - 1)
         if config is None and component in self._maps:
             return self._maps[component]
-        made = build_map([self.trajectories[k] for k in self.components[component]], config)
+        made = build_map([self.trajectories[k] for k in self.components[component]], config or SPLINE)
         if config is None:
             self._maps[component] = made
         return made

@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.prior_choice.choose_hyperparameters import likely_numbers
@@ -81,7 +81,7 @@ def _expected_square(survey: Survey, h: Hyperparameters, length: float) -> float
     samples = _part(survey, walked, 0.5, min(walked[-1], length))
     # Of samples that say nothing, the posterior is the prior.
     silent = replace(h, noise_sd=SILENT * h.noise_sd)
-    posterior = fit_posterior(samples, silent, FieldConfig(leave_out_outliers=False))
+    posterior = fit_posterior(samples, silent, SPLINE)
     C = posterior.covariance(samples.positions[even_choice(len(samples), N_POINTS)], order=1)[:, 3:, 3:]
     return float(np.diagonal(C, axis1=1, axis2=2).mean()) / h.inflation**2
 
@@ -110,8 +110,8 @@ def _part(survey: Survey, walked: np.ndarray, middle: float, length: float) -> S
 
 
 def _hyperparameters_of(samples: Survey) -> tuple[Hyperparameters, float]:
-    h = likely_numbers(PRIORS["spline"], samples, FieldConfig())
-    posterior = fit_posterior(samples, h, FieldConfig())
+    h = likely_numbers(PRIORS["spline"], samples, SPLINE)
+    posterior = fit_posterior(samples, h, SPLINE)
     return h, correlation_length_of(posterior.evaluate(samples.positions, order=1))
 
 

@@ -11,6 +11,7 @@ from magmatch.data.survey import Survey
 from magmatch.features.config import FeatureConfig
 from magmatch.features.infer import grid_spacing
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.grid import RegularGrid
 from magmatch_evaluation.baselines.volume import (
     Volume,
@@ -77,7 +78,9 @@ def test_surface_stays_within_what_is_known():
 def test_what_lies_off_the_measurements_is_not_known(shape):
     rng = np.random.default_rng(1)
     p = rng.uniform(-0.5, 0.5, (300, 3)) * shape
-    field_map = build_map(Survey(p, 1e-5 * np.column_stack([np.sin(2 * p[:, 1]), np.cos(2 * p[:, 0]), 4 + p[:, 2]])))
+    field_map = build_map(
+        Survey(p, 1e-5 * np.column_stack([np.sin(2 * p[:, 1]), np.cos(2 * p[:, 0]), 4 + p[:, 2]])), SPLINE
+    )
     given = magnitude_volume(field_map, 0.1)
     volume = within_measurements(given, field_map)
     spacing = grid_spacing(field_map, FeatureConfig())

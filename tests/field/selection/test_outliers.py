@@ -6,7 +6,7 @@ import pytest
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map, map_samples
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.selection.outliers import find_outliers, reweighted_residuals
@@ -15,7 +15,7 @@ from magmatch.field.tiles.tiles import Tiling
 from magmatch.simulation.simulate import simulate
 
 UT = 1e-6
-SETTINGS = FieldConfig(lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
+SETTINGS = FieldConfig(prior="spline", lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
 SOURCES = np.array([[0.5, 0.4, -0.6], [1.6, 1.2, -0.7], [0.2, 1.9, 1.4]])
 
 
@@ -60,7 +60,7 @@ def test_spikes_are_left_out_and_told(caplog):
 
 def test_numbers_are_chosen_again_only_where_what_is_left_out_shaped_them():
     x, b, rng = room(600, seed=4)
-    config = FieldConfig(spacing=0.25)
+    config = FieldConfig(prior="spline", spacing=0.25)
     everything = config.model_copy(update={"leave_out_outliers": False})
     faint, strong = b.copy(), b.copy()
     faint[7] += np.array([4, 0, 0]) * UT
@@ -87,7 +87,7 @@ def test_simulated_rooms_keep_the_samples_that_come_close_to_steel(seed):
     """What one of them sees is finer than the splines, and was taken for a contradiction."""
     pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
     survey = simulate("office-random", seed).base
-    assert len(build_map(survey).survey) >= len(survey) - 1
+    assert len(build_map(survey, SPLINE).survey) >= len(survey) - 1
 
 
 def test_a_lift_that_passed_on_one_lap_of_four_is_left_out():

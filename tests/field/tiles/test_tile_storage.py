@@ -6,7 +6,7 @@ import pytest
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapRecord
@@ -69,7 +69,7 @@ def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypat
 
 
 def test_map_of_chosen_numbers_loads_too(tmp_path):
-    build_map(walk(0, 8)).save(tmp_path / "m")
+    build_map(walk(0, 8), SPLINE).save(tmp_path / "m")
     FieldMap.load(tmp_path / "m")
 
 

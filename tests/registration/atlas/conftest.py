@@ -15,7 +15,7 @@ from magmatch.simulation.simulate import simulate
 CORNERS = np.array([[-1.2, -1.1, -0.2], [1.1, -0.9, 0.1], [1.2, 1.1, -0.1], [-1.0, 1.2, 0.2], [-1.1, -0.4, 0.1]])
 ROOM = SimulationConfig(n_samples=500, room_size=(3.0, 3.0, 0.8))
 # Given, so that maps are made at once.
-FIELD = FieldConfig(lengthscale=0.7, spacing=0.3, signal_sd=8e-6, noise_sd=0.5e-6)
+FIELD = FieldConfig(prior="spline", lengthscale=0.7, spacing=0.3, signal_sd=8e-6, noise_sd=0.5e-6)
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ import magmatch as mm
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.field.saved_map import MapFile
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
@@ -199,7 +200,7 @@ def test_a_raw_log_is_found_once_its_sensor_is_calibrated(tmp_path):
     config = SimulationConfig(n_samples=1000, room_size=(2.0, 2.0, 0.6))
     pair, elsewhere = (simulate("office-hand-held", seed, config) for seed in (41, 42))
     for name, survey in (("here", pair.base), ("elsewhere", elsewhere.base)):
-        build_map(survey).save(tmp_path / f"{name}.map")
+        build_map(survey, SPLINE).save(tmp_path / f"{name}.map")
     rng = np.random.default_rng(41)
     raw = corrupt(pair.target, draw_corruption(rng), rng)[0]
     _, used, result = register_keeping_maps(open_atlas(tmp_path), raw)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.features.invariants import rotation_invariants, traceless_symmetric
 from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.field.values import FieldValues
 from magmatch.geometry import random_transform, rotate_vectors, transform_points
 from magmatch.registration.prepared.prepared_map import (
@@ -100,7 +101,7 @@ def test_points_are_an_eighth_of_the_correlation_length_apart_and_no_more_than_a
 
 def test_a_constant_field_changes_over_no_less_than_its_maps_functions():
     positions = np.random.default_rng(0).uniform(0, 1.5, (40, 3))
-    field_map = build_map(Survey(positions, np.tile([2e-5, 0.0, -4e-5], (40, 1))))
+    field_map = build_map(Survey(positions, np.tile([2e-5, 0.0, -4e-5], (40, 1))), SPLINE)
     prepared = prepare(field_map, 2, np.random.default_rng(1))
     assert prepared.correlation_length >= field_map.hyperparameters.spacing
     # A raster a hundred times finer than that took minutes.

@@ -9,8 +9,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from drifting import Place, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.slam.bending import bend
-from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.run import slam
 from magmatch.slam.windows import cut

@@ -8,8 +8,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import adjoint
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.slam.bending import lasting_errors
-from magmatch.slam.config import OdometryConfig, SlamConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure, Edges, SubmapFactor
 from magmatch.slam.graph.normal_equations import counted, normal_equations, residual_between
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph

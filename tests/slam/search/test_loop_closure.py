@@ -9,9 +9,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
 from drifting import submap_at
+from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.pose_graph import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.search import loop_closure
 from magmatch.slam.search.comparison import Searched, compare
 from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Rough, log_density, matches

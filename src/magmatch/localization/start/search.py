@@ -15,10 +15,10 @@ from magmatch.localization.measurement import FIT, follow
 from magmatch.localization.start.grid_score import UNKNOWN, score_all
 from magmatch.localization.start.least_squares import STRETCH, Priors, refine_all
 from magmatch.localization.state import BIAS, Model, hypotheses, start_covariance
+from magmatch.preparation.odometry.drift import LEVEL_SD
 from magmatch.registration.prepared.pose_prior import PosePriorConfig, pose_prior
 from magmatch.registration.prepared.walk import walk_of
 from magmatch.registration.search.pair_search import PairSearchConfig, pair_search
-from magmatch.slam.graph.pose_graph import LEVEL_SD
 from magmatch.typing import Points, Scalars, Vector3
 
 # Headings tried, and how many bins of path make one that is scored.

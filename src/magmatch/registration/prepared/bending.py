@@ -9,9 +9,6 @@ from scipy.linalg import svd
 from magmatch.geometry import skew
 from magmatch.typing import Covariance6, Matrix, Points
 
-# Rates at which surveys may drift, m per sqrt(m) walked, equally likely: from a SLAM's own correction to dead
-# reckoning.
-RATES = (0.02, 0.05, 0.1, 0.2)
 # Turn that comes with a shift of one metre, rad/m: what dead reckoning loses of both (0.6 deg with 10 cm).
 TURN_PER_SHIFT = 0.1
 # Modes kept: of a random walk, the variance of the k-th falls with its square.

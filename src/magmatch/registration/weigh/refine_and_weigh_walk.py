@@ -66,6 +66,7 @@ class LineEvidence:
     attainable: float  # nats: the same, if the residuals were no larger than expected
     misfit: float  # normalised rms residual (1 when the covariance explains everything)
     is_covered: Mask  # (n,) bool: bins inside the base map
+    model: str = "drifts as the base's own stretches do"
 
 
 def weigh_walk(

@@ -10,9 +10,10 @@ from scipy.sparse import bsr_array
 from scipy.spatial.transform import Rotation
 
 from magmatch.geometry import skew
+from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.graph.block_cholesky import SIDE, sum_of_blocks
 from magmatch.slam.graph.factors import N_LASTING
-from magmatch.slam.graph.pose_graph import FREE, LEVEL_SD, SURE, UPRIGHT_SD, PoseGraph
+from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 # Least standard deviation of a lasting error, so that the equations can be solved where it is stated as 0.

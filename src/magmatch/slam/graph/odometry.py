@@ -6,19 +6,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.survey import Survey
 from magmatch.geometry import adjoint
 from magmatch.slam.bending import bend, lasting_errors
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Edges
-from magmatch.slam.graph.pose_graph import LEVEL_SD, SURE, PoseGraph
+from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.windows import Path
 from magmatch.typing import Covariance6, Matrix, Vector3
 
 # Points of the path between two nodes that say how odometry bends.
 BEND_POINTS = 16
-# Tilt that a body on one floor keeps within, rms: a steady carrier's, not a climber's, rad.
-MOST_TILT = np.radians(10.0)
 
 
 def odometry_graph(paths: Sequence[Path], config: SlamConfig) -> PoseGraph:
@@ -90,17 +87,3 @@ def _between(path: Path, a: int, b: int, config: SlamConfig) -> tuple[Vector3, M
     x, rows = path.survey.positions, path.jumps[(path.jumps >= min(a, b)) & (path.jumps < max(a, b))]
     jumped = np.concatenate([np.zeros((len(rows), 3)), x[rows + 1] - x[rows]], axis=1).T
     return points[-1] - points[0], np.hstack([jumped, loads]), lasting_errors(points, 0, upright=upright)[-1]
-
-
-def lie_level(surveys: Sequence[Survey]) -> bool:
-    """Whether all logs keep one height, as well as one floor is trusted to, and their bodies the same way up."""
-    heights = np.concatenate([survey.positions[:, 2] for survey in surveys])
-    return float(np.ptp(heights)) <= 2 * LEVEL_SD and all(_stays_upright(survey) for survey in surveys)
-
-
-def _stays_upright(survey: Survey) -> bool:
-    if survey.orientations is None:
-        return True
-    # The vertical in the body's axes, wherever those point: a sensor need not be mounted upright.
-    up = survey.orientations.inv().apply([0.0, 0.0, 1.0])
-    return float(np.linalg.norm(up.mean(axis=0))) > float(np.cos(MOST_TILT))

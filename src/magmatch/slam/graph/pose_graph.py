@@ -31,8 +31,6 @@ UNTOLD = 1e-12
 # Nodes nearer than this along one log are one pass of a place, and are not compared: their windows adjoin.
 APART = 2
 UP = np.array([0.0, 0.0, 1.0])
-# How well gravity and one floor hold at a node: rad, m.
-UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
 
 
 @dataclass(eq=False)

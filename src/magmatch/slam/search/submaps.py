@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
@@ -73,9 +73,9 @@ def make_submap(
 
     ``length``: over which the field changes, m.
     """
-    T, settings = survey.principal_frame(), FieldConfig(leave_out_outliers=False)
+    T = survey.principal_frame()
     samples = survey.transformed(T.inv())
-    field_map = FieldMap(survey, fit_posterior(samples, hyperparameters, settings), T, settings, T, samples)
+    field_map = FieldMap(survey, fit_posterior(samples, hyperparameters, SPLINE), T, SPLINE, T, samples)
     prepared = prepare(field_map, N_DRAWS, np.random.default_rng(0))
     mean = field_map.posterior.without_factors()
     # Posterior samples are not asked for again.
