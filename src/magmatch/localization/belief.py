@@ -16,7 +16,7 @@ from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import (
-    Toll,
+    OutsidePenalty,
     WeighedHypothesis,
     covariance_of,
     end_of_agreement,
@@ -94,7 +94,7 @@ class Belief:
         """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
         window = self._window
         if self._since == 0:
-            forget(*self._parts(), self._known, self._toll, self._bank)
+            forget(*self._parts(), self._known, self._penalty, self._bank)
         window.forget_first()
         self._since = max(self._since - 1, 0)
 
@@ -104,10 +104,10 @@ class Belief:
         return -float(np.log(self._config.end_probability))
 
     @property
-    def _toll(self) -> Toll:
+    def _penalty(self) -> OutsidePenalty:
         """A place that stands may leave the map; others come into it as seldom as a track is lost."""
         n_free = len(self._weighed[0].rows) if self.is_sure and self._stands() else 0
-        return Toll(self._config.price_outside / self._known.length, n_free, self._most_earlier)
+        return OutsidePenalty(self._config.price_outside / self._known.length, n_free, self._most_earlier)
 
     def is_doubtful(self) -> bool:
         """Whether the trusted hypothesis is contradicted by the latest bins."""
@@ -142,7 +142,7 @@ class Belief:
             follow(one, self._known, self._model, window.steps[-back:], fared[-back:], moves_first=True)
             bank, fit = np.concatenate([bank, one]), np.concatenate([fit, fared], axis=1)
         steps, _, null = self._parts(self._since)
-        gained, *_ = evidence(steps, fit[self._since :], null, self._known, self._toll)
+        gained, *_ = evidence(steps, fit[self._since :], null, self._known, self._penalty)
         best = np.argsort(-gained, kind="stable")[:1]
         return bank[best], np.ascontiguousarray(fit[:, best])
 
@@ -167,7 +167,7 @@ class Belief:
     def weigh(self) -> float:
         """Weigh all hypotheses and keep distinct ones, most likely first; returns the log odds of all, nats."""
         same = self._config.same(self._known.length)
-        weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
+        weighed = weigh(self._bank, *self._parts(self._since), self._known, self._penalty, same)
         odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf

@@ -31,7 +31,7 @@ Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class Among:
-    """What all maps that are searched for one target share."""
+    """The state that all maps share which are searched for one target."""
 
     volume: float  # m^3: of all their regions
     length: float  # m: correlation length by which a walk is binned, so that none is judged by more bins

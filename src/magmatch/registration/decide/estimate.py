@@ -45,7 +45,7 @@ class Estimate:
         return cls(best.T_base_target * perturbation(mean, c), c, within + spread)
 
     def with_spread(self, covariance: Covariance6) -> "Estimate":
-        """The same pose with a further covariance added; without any covariance it is unchanged."""
+        """Add a further covariance to a pose; without any covariance it is unchanged."""
         return self if self.covariance is None else replace(self, covariance=self.covariance + covariance)
 
     @property

@@ -103,7 +103,7 @@ class Answer(Generic[H]):
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Of each hypothesis in the answer's probability; they sum to one."""
+        """The share of each hypothesis in the answer's probability; they sum to one."""
         return tuple(float(np.exp(_effective(h) - self.effective)) for h in self.hypotheses)
 
 

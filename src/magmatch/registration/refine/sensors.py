@@ -23,7 +23,7 @@ TIED_SD = float(np.sqrt(np.finfo(float).eps)) * CONSTANT_SD
 
 
 class SensorConfig(Settings):
-    """What may differ between the two magnetometers."""
+    """The differences that are allowed between the two magnetometers."""
 
     # 'auto': bias and scale, and soft iron, at the level that the evidence supports; 'none': identical sensors;
     # 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.

@@ -81,7 +81,7 @@ class Bend:
         return rigid, bent
 
     def seen_from(self, T_survey_walk: RigidTransform) -> "Bend":
-        """The same in the survey's axes."""
+        """Express it in the survey's axes."""
         R = np.kron(np.eye(2), rotation_matrix(T_survey_walk))
         return Bend(R @ self.xi, T_survey_walk.apply(self.center), R @ self.covariance @ R.T, self.reach)
 

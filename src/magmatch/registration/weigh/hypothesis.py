@@ -40,7 +40,7 @@ class Hypothesis(Protocol):
 
     @property
     def attainable(self) -> float:
-        """The same, if the base explained the target up to noise, nats."""
+        """The evidence if the base explained the target up to noise, nats."""
 
     @property
     def misfit(self) -> float:
