@@ -236,21 +236,23 @@ def _feed(digest: Any, value: Any) -> None:
     content = next((of for kind, of in _CONTENT if isinstance(value, kind)), None)
     if content is not None:
         _feed(digest, content(value))
-    elif isinstance(value, np.ndarray):
-        digest.update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, tuple | list):
-        digest.update(f"{len(value)}:".encode())
-        for each in value:
-            _feed(digest, each)
-    elif value is None or isinstance(value, str | bytes | bool | int | float):
-        digest.update(f"{value!r};".encode())
-    elif callable(value):
-        digest.update(f"{value.__module__}.{value.__qualname__};".encode())
-    elif is_dataclass(value):
-        _feed(digest, [type(value).__name__, *(getattr(value, f.name) for f in fields(value) if f.init)])
-    else:
-        msg = f"expected arguments of numbers, words, arrays or dataclasses of them, got {type(value).__name__}"
-        raise TypeError(msg)
+        return
+    match value:
+        case np.ndarray():
+            digest.update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+        case tuple() | list():
+            digest.update(f"{len(value)}:".encode())
+            for each in value:
+                _feed(digest, each)
+        case None | str() | bytes() | bool() | int() | float():
+            digest.update(f"{value!r};".encode())
+        case _ if callable(value):
+            digest.update(f"{value.__module__}.{value.__qualname__};".encode())
+        case _ if is_dataclass(value):
+            _feed(digest, [type(value).__name__, *(getattr(value, f.name) for f in fields(value) if f.init)])
+        case _:
+            msg = f"expected arguments of numbers, words, arrays or dataclasses of them, got {type(value).__name__}"
+            raise TypeError(msg)
 
 
 def _shared_by(tasks: Iterable[Task]) -> list[Shared[Any]]:

@@ -125,7 +125,7 @@ class Session:
         require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         for k, anchor in enumerate(listed):
-            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.slam.graph.anchors.Anchor")
+            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.Anchor")
         listed, origin = in_metres(listed, config.origin, [a for a, _ in earlier.anchors] if earlier else ())
         config = config.model_copy(update={"origin": origin})
         # Those of before may be given again.
