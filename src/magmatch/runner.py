@@ -75,7 +75,7 @@ class Runner:
     def __init__(self, workers: Workers | None = None, keep: str | Path | None = None, kinds: Kinds = ()) -> None:
         """``keep``: folder for results, created where needed; ``kinds``: classes that occur in what is kept."""
         if workers is not None and not callable(workers):
-            msg = f"run: expected a callable such as magmatch.workers.DaskRunner, got {workers!r:.40}"
+            msg = f"run: expected a callable such as magmatch.DaskRunner, got {workers!r:.40}"
             raise TypeError(msg)
         self._workers, self._shelf, self._affinities = workers, Shelf(), dict[str, int]()
         self._memo = None if keep is None else Memo(Path(keep), kinds)
