@@ -14,7 +14,6 @@ from importlib.util import find_spec
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.inducing_prior import InducingConfig
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
 from magmatch.field.priors.divergence_free import DivergenceFreePrior
@@ -93,7 +92,7 @@ def gpytorch_exact(points, field, queries, lengthscale, signal_sd, noise_sd):
 def contenders(points, field, queries, length, signal):
     """Each way of getting the mean at the queries from the samples with numbers fixed beforehand."""
     kernel = DivergenceFreeKernel(length, signal)
-    published, spline = DivergenceFreePrior(InducingConfig(constant_sd=0.0)), PRIORS["spline"]
+    published, spline = DivergenceFreePrior(constant_sd=0.0), PRIORS["spline"]
     h = Hyperparameters(length, signal, NOISE_SD, 0.7 * length)
     chosen = spline.choose_hyperparameters(points, field)
 
@@ -129,7 +128,7 @@ def main():
     print("|---|---|---|---|---|---|---|")
     for n in (1000, 2000):
         points, field, queries, truth = simulated(n)
-        likely = DivergenceFreePrior(InducingConfig(constant_sd=0.0)).choose_hyperparameters(points, field)
+        likely = DivergenceFreePrior(constant_sd=0.0).choose_hyperparameters(points, field)
         same = (0.3, np.sqrt(2) * SD)
         for label, numbers in (("0.3 m", same), ("likeliest", (likely.lengthscale, likely.signal_sd))):
             lines = {}

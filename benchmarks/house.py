@@ -4,8 +4,8 @@
     python benchmarks/house.py [CHECKOUT] [CHECKOUT]
 
 Lines are of all Python in a checkout but the tests, whose own stand below for comparison: of code, of docstring, of
-comment alone, and all. Settings are the leaves of `RegistrationConfig`, a model within a model counted leaf by leaf;
-numbers are all that somebody chose or fitted there, constants too.
+comment alone, and all. Settings are the fields of all classes of settings that are no settings themselves, and of
+them the leaves of `RegistrationConfig`; numbers are all that somebody chose or fitted there, constants too.
 The depth is the number of calls from `register` to the first step of the search, `register` not counted. With two
 checkouts: before and after.
 """
@@ -118,6 +118,34 @@ def asked_inside(root: Path, question: str) -> object:
     program += f"; print(json.dumps(house.{question}()))"
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, cwd=root)
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def all_settings() -> int:
+    """Fields of all classes of settings in the package that is imported, those that hold other settings left out."""
+    import pkgutil
+    from importlib import import_module
+
+    import magmatch
+    from magmatch.settings import Settings
+
+    for module in pkgutil.walk_packages(magmatch.__path__, "magmatch."):
+        if not module.name.endswith("__main__"):
+            import_module(module.name)
+    kinds, found = [Settings], set()
+    while kinds:
+        kind = kinds.pop()
+        kinds += kind.__subclasses__()
+        own = (
+            (name, kind.model_fields[name].annotation) for name in kind.__annotations__ if name in kind.model_fields
+        )
+        found |= {(kind, name) for name, of in own if not (isinstance(of, type) and issubclass(of, Settings))}
+    return len(found)
+
+
+def asked_kinds(root: Path) -> int:
+    """Calls of `isinstance` in the package."""
+    nodes = (node for path in (root / "src").rglob("*.py") for node in ast.walk(ast.parse(path.read_text("utf-8"))))
+    return sum(isinstance(node, ast.Call) and getattr(node.func, "id", "") == "isinstance" for node in nodes)
 
 
 def settings() -> int:
@@ -252,7 +280,9 @@ def figures(root: Path) -> dict[str, object]:
         "lines of the tests, all": rooms.get("tests", Counter())["all"],
         "words of the documentation": sum(len((root / p).read_text().split()) for p in files_of(root, ".md")),
         "largest folders": ", ".join(f"{name} {n}" for name, n in largest_folders(root)),
+        "settings": asked_inside(root, "all_settings"),
         "settings of registration": asked_inside(root, "settings"),
+        "calls of isinstance": asked_kinds(root),
         "numbers chosen in registration": numbers(root),
         "further numbers inside its functions": unnamed_numbers(root),
         "names of the package": asked_inside(root, "exported"),

@@ -34,16 +34,19 @@ def brief(noun: Any) -> str:
 
 
 def _words(value: Any) -> str:
-    if isinstance(value, np.ndarray):
-        return str(value.shape)
-    if isinstance(value, str | Path):
-        text = repr(str(value))
-        return text if len(text) <= LONGEST else f"{text[: LONGEST - 4]}...'"
-    if isinstance(value, bool | Number):
-        return f"{value:.6g}" if isinstance(value, float) else str(value)
-    if isinstance(value, tuple) and len(value) <= MOST and all(isinstance(item, str | Number) for item in value):
-        return f"({', '.join(map(_words, value))})"
-    if isinstance(value, Sized) and not getattr(value, "single", False):
-        kind = type(next(iter(value))).__name__ if isinstance(value, list | tuple) and value else type(value).__name__
-        return f"{len(value)} of {kind}" if isinstance(value, list | tuple) and value else f"{kind} of {len(value)}"
-    return type(value).__name__
+    kind = type(value).__name__
+    match value:
+        case np.ndarray():
+            return str(value.shape)
+        case str() | Path():
+            text = repr(str(value))
+            return text if len(text) <= LONGEST else f"{text[: LONGEST - 4]}...'"
+        case bool() | Number():
+            return f"{value:.6g}" if isinstance(value, float) else str(value)
+        case tuple() if len(value) <= MOST and all(isinstance(item, str | Number) for item in value):
+            return f"({', '.join(map(_words, value))})"
+        case list() | tuple() if value:
+            kind = f"{len(value)} of {type(value[0]).__name__}"
+        case Sized() if not getattr(value, "single", False):
+            kind = f"{kind} of {len(value)}"
+    return kind

@@ -75,7 +75,7 @@ class Runner:
     def __init__(self, workers: Workers | None = None, keep: str | Path | None = None, kinds: Kinds = ()) -> None:
         """``keep``: folder for results, created where needed; ``kinds``: classes that occur in what is kept."""
         if workers is not None and not callable(workers):
-            msg = f"run: expected a callable such as magmatch.workers.DaskRunner, got {workers!r:.40}"
+            msg = f"run: expected a callable such as magmatch.DaskRunner, got {workers!r:.40}"
             raise TypeError(msg)
         self._workers, self._shelf, self._affinities = workers, Shelf(), dict[str, int]()
         self._memo = None if keep is None else Memo(Path(keep), kinds)
@@ -236,21 +236,23 @@ def _feed(digest: Any, value: Any) -> None:
     content = next((of for kind, of in _CONTENT if isinstance(value, kind)), None)
     if content is not None:
         _feed(digest, content(value))
-    elif isinstance(value, np.ndarray):
-        digest.update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, tuple | list):
-        digest.update(f"{len(value)}:".encode())
-        for each in value:
-            _feed(digest, each)
-    elif value is None or isinstance(value, str | bytes | bool | int | float):
-        digest.update(f"{value!r};".encode())
-    elif callable(value):
-        digest.update(f"{value.__module__}.{value.__qualname__};".encode())
-    elif is_dataclass(value):
-        _feed(digest, [type(value).__name__, *(getattr(value, name) for name in saved_fields(value))])
-    else:
-        msg = f"expected arguments of numbers, words, arrays or dataclasses of them, got {type(value).__name__}"
-        raise TypeError(msg)
+        return
+    match value:
+        case np.ndarray():
+            digest.update(f"{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+        case tuple() | list():
+            digest.update(f"{len(value)}:".encode())
+            for each in value:
+                _feed(digest, each)
+        case None | str() | bytes() | bool() | int() | float():
+            digest.update(f"{value!r};".encode())
+        case _ if callable(value):
+            digest.update(f"{value.__module__}.{value.__qualname__};".encode())
+        case _ if is_dataclass(value):
+            _feed(digest, [type(value).__name__, *(getattr(value, name) for name in saved_fields(value))])
+        case _:
+            msg = f"expected arguments of numbers, words, arrays or dataclasses of them, got {type(value).__name__}"
+            raise TypeError(msg)
 
 
 def _shared_by(tasks: Iterable[Task]) -> list[Shared[Any]]:

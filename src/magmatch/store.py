@@ -255,29 +255,31 @@ def _view(raw: np.ndarray, name: str, entry: Mapping[str, Any]) -> np.ndarray:
 
 def _frozen(value: Any, name: str, found: dict[int, tuple[str, np.ndarray, Any]]) -> Any:
     """Give a value as JSON: what JSON lacks is an object with one key, which begins with ``$``."""
-    if isinstance(value, np.generic):
-        value = value.item()
+    match value:
+        case np.generic():
+            return _frozen(value.item(), name, found)
+        case Mapping():
+            if any(not isinstance(key, str) or key.startswith("$") for key in value):
+                msg = f"'{name}': expected words as keys that do not begin with '$', got {list(value)[:5]}"
+                raise TypeError(msg)
+            return {key: _frozen(each, f"{name}.{key}".lstrip("."), found) for key, each in value.items()}
+        case float() if not math.isfinite(value):
+            return {"$number": repr(value)}
     if type(value) is list:
         return [_frozen(each, f"{name}.{k}", found) for k, each in enumerate(value)]
-    if isinstance(value, Mapping):
-        if any(not isinstance(key, str) or key.startswith("$") for key in value):
-            msg = f"'{name}': expected words as keys that do not begin with '$', got {list(value)[:5]}"
-            raise TypeError(msg)
-        return {key: _frozen(each, f"{name}.{key}".lstrip("."), found) for key, each in value.items()}
-    if isinstance(value, float) and not math.isfinite(value):
-        return {"$number": repr(value)}
     if value is None or type(value) in {bool, int, float, str}:
         return value
     return _frozen_object(value, name, found)
 
 
 def _frozen_object(value: Any, name: str, found: dict[int, tuple[str, np.ndarray, Any]]) -> Any:
-    if isinstance(value, np.ndarray):
-        return _frozen_array(value, name, found)
-    if isinstance(value, RigidTransform):
-        return {"$transform": _frozen(value.as_matrix(), name, found)}
-    if isinstance(value, Rotation):
-        return {"$rotation": _frozen(value.as_quat(), name, found)}
+    match value:
+        case np.ndarray():
+            return _frozen_array(value, name, found)
+        case RigidTransform():
+            return {"$transform": _frozen(value.as_matrix(), name, found)}
+        case Rotation():
+            return {"$rotation": _frozen(value.as_quat(), name, found)}
     if type(value) is tuple:
         return {"$tuple": _frozen(list(value), name, found)}
     names = getattr(value, "_fields", saved_fields(value) if is_dataclass(value) else None)

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the command line leaves out is what Python leaves out: one place states each default."""
 
+import importlib.util
 import inspect
+import pkgutil
 import re
 import sys
 import typing
@@ -68,6 +70,17 @@ COMMANDS = typer.main.get_command(build_app()).commands
 CONFIGS = {"register": mm.RegistrationConfig(), "slam": mm.SlamConfig(), "localize": mm.LocalizerConfig()}
 
 
+@pytest.fixture(scope="module")
+def everything():
+    """All modules: one that is first imported while a function is watched would keep the watched one."""
+    for package in ("magmatch", "magmatch_serve", "magmatch_evaluation"):
+        if importlib.util.find_spec(package):
+            paths = importlib.import_module(package).__path__
+            for module in pkgutil.walk_packages(paths, f"{package}."):
+                if not module.name.endswith("__main__"):
+                    importlib.import_module(module.name)
+
+
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
@@ -92,7 +105,9 @@ def configs_of(function):
 
 
 @pytest.mark.parametrize("name", DOORS)
-def test_a_command_without_options_asks_for_what_its_function_does_by_default(name, folder, run, monkeypatch):
+def test_a_command_without_options_asks_for_what_its_function_does_by_default(
+    name, folder, run, everything, monkeypatch
+):
     if name not in COMMANDS:
         pytest.skip("its distribution is not installed")
     door, said = DOORS[name], []
@@ -101,7 +116,6 @@ def test_a_command_without_options_asks_for_what_its_function_does_by_default(na
         monkeypatch.setattr("magmatch.data.formats.sniff.sniff", lambda _: "phone")
     for path in door.calls:
         room, _, verb = (path if path.startswith("magmatch_") else f"magmatch.{path}").rpartition(".")
-        __import__(room)
         function = getattr(sys.modules[room], verb)
 
         def heard(*args, function=function, **named):

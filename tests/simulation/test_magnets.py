@@ -11,7 +11,7 @@ from scipy import constants
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import MissingExtraError
-from magmatch.simulation.magnets import Cuboid, Cylinder, Dipole, distance_to, field_of, strengthened
+from magmatch.simulation.magnets import Cuboid, Cylinder, Dipole, field_of
 
 MU0 = constants.mu_0
 SETTINGS = settings(deadline=None, max_examples=20)
@@ -115,7 +115,7 @@ def test_field_is_proportional_to_strength(seed, factor):
     rng = np.random.default_rng(seed)
     sources, points = some_sources(rng), rng.normal(size=(5, 3)) + 3
     field = field_of(sources, points)
-    stronger = field_of([strengthened(source, factor) for source in sources], points)
+    stronger = field_of([source.strengthened(factor) for source in sources], points)
     np.testing.assert_allclose(stronger, factor * field, rtol=1e-9, atol=1e-12 * np.abs(field).max())
 
 
@@ -154,7 +154,7 @@ def test_distance_is_measured_to_the_surface():
     quarter_turn = Rotation.from_euler("z", 90, degrees=True)
     box = Cuboid(np.zeros(3), np.array([2.0, 4.0, 6.0]), np.ones(3), quarter_turn)
     points = np.array([[3.0, 0, 0], [0, 3, 0], [0, 0, 3.5], [5, 5, 0], [0.1, 0.1, 0.1]])
-    np.testing.assert_allclose(distance_to(box, points), [1, 2, 0.5, 5, 0], atol=1e-12)
+    np.testing.assert_allclose(box.distance_to(points), [1, 2, 0.5, 5, 0], atol=1e-12)
     can = Cylinder(np.zeros(3), 2.0, 6.0, np.ones(3), Rotation.identity())
-    np.testing.assert_allclose(distance_to(can, points), [2, 2, 0.5, np.hypot(5, 5) - 1, 0], atol=1e-12)
-    np.testing.assert_allclose(distance_to(Dipole(np.zeros(3), np.ones(3)), points[:2]), [3, 3])
+    np.testing.assert_allclose(can.distance_to(points), [2, 2, 0.5, np.hypot(5, 5) - 1, 0], atol=1e-12)
+    np.testing.assert_allclose(Dipole(np.zeros(3), np.ones(3)).distance_to(points[:2]), [3, 3])

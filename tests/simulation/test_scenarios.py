@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.errors import ConfigurationError
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.magnets import distance_to, field_of
+from magmatch.simulation.magnets import field_of
 from magmatch.simulation.scenarios import ROBOT_HEIGHT, SCENARIOS, build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.simulation.simulate import simulate
@@ -81,7 +81,7 @@ def test_room_sources_stay_clear_of_both_surveys(scenario, seed):
         (scene.base_sources, scene.base_path),
         (scene.target_sources, scene.target_path),
     ):
-        assert min(distance_to(source, path.positions).min() for source in sources) >= 0.3 - 1e-9
+        assert min(source.distance_to(path.positions).min() for source in sources) >= 0.3 - 1e-9
 
 
 def test_office_inside_has_furniture_in_the_room_that_samples_keep_off():
@@ -89,7 +89,7 @@ def test_office_inside_has_furniture_in_the_room_that_samples_keep_off():
     is_inside = [(np.abs(source.center) < (1.5, 1.5, 0.5)).all() for source in scene.base_sources]
     assert sum(is_inside) == 5
     for path in (scene.base_path, scene.target_path):
-        assert min(distance_to(source, path.positions).min() for source in scene.base_sources) >= 0.15
+        assert min(source.distance_to(path.positions).min() for source in scene.base_sources) >= 0.15
 
 
 @pytest.mark.parametrize("scenario", ["table", "table-robot"])

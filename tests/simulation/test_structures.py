@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.simulation.magnets import Cuboid, Cylinder, distance_to, field_of
+from magmatch.simulation.magnets import Cuboid, Cylinder, field_of
 from magmatch.simulation.structures import around_box, calibrated, inside_box, is_clear, rearranged, under_table
 
 SETTINGS = settings(deadline=None, max_examples=20)
@@ -84,5 +84,5 @@ def test_the_fraction_asked_for_moves_and_stays_clear(rng, fraction):
 def test_what_cannot_move_clear_stays(rng):
     before = around_box(-HIGH, HIGH, 0.3, rng)[:1]
     crowd = before[0].center + 3 * np.stack(np.meshgrid(*3 * [np.linspace(-1, 1, 61)]), -1).reshape(-1, 3)
-    outside = crowd[distance_to(before[0], crowd) > 0.3]
+    outside = crowd[before[0].distance_to(crowd) > 0.3]
     assert rearranged(before, 1.0, outside, 0.3, rng)[0] is before[0]

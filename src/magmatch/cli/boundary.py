@@ -60,14 +60,17 @@ def explain(error: Exception) -> tuple[str, int]:
     """The message for an error, and its exit code."""
     if isinstance(error, UsageError):
         return _explain_usage(error), BAD_INPUT
-    if isinstance(error, MagmatchError):
-        return str(error), FAULT if isinstance(error, TaskError) else BAD_INPUT
-    if isinstance(error, OSError):
-        place = f"{error.filename}: " if error.filename is not None else ""
-        words = f"{place}{(error.strerror or str(error) or type(error).__name__)}"
-        return words, BAD_INPUT if error.errno in USER_ERRNOS else FAULT
-    if isinstance(error, MemoryError):
-        return f"out of memory ({error or 'no details'}); use fewer samples or a coarser map", FAULT
+    match error:
+        case TaskError():
+            return str(error), FAULT
+        case MagmatchError():
+            return str(error), BAD_INPUT
+        case OSError():
+            place = f"{error.filename}: " if error.filename is not None else ""
+            words = f"{place}{(error.strerror or str(error) or type(error).__name__)}"
+            return words, BAD_INPUT if error.errno in USER_ERRNOS else FAULT
+        case MemoryError():
+            return f"out of memory ({error or 'no details'}); use fewer samples or a coarser map", FAULT
     return f"internal error, {type(error).__name__}: {error} (use --debug for details, and please report it)", FAULT
 
 

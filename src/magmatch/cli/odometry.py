@@ -25,7 +25,10 @@ def odometry(
     ],
     out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
     step_scale: Annotated[
-        float, typer.Option(help="Ratio of your step length to the average: true length of a path over ours.")
+        float,
+        typer.Option(
+            min=0.3, max=3, help="Ratio of your step length to the average: true length of a path over ours."
+        ),
     ] = 1.0,
     recover: Annotated[
         bool, typer.Option("--recover", help="Skip rows without valid numbers, instead of refusing the log.")
@@ -36,20 +39,16 @@ def odometry(
     Attitude comes from gyroscope and accelerometer; each step moves the position along the phone's heading, from the
     origin, at z = 0. Length is wrong by a few per cent, and heading drifts with the gyroscope.
     """
-    from magmatch.cli.option_values import refuse
     from magmatch.data.formats.phones.read import read_phone_log
     from magmatch.data.formats.sniff import sniff
     from magmatch.preparation.odometry.config import DeadReckoningConfig
     from magmatch.preparation.odometry.dead_reckon import dead_reckon
 
     check_outputs((out,), inputs=(log,))
-    if not 0.3 <= step_scale <= 3:
-        refuse("--step-scale", "a number from 0.3 to 3", f"{step_scale:g}")
     if (kind := sniff(log)) != "phone":
         words = f"is a {kind} file, expected a phone's log (phyphox, Sensor Logger, GetSensorData, XYZ10, Android)"
         raise DataFormatError(log, words)
-    config = DeadReckoningConfig()
-    config = config.model_copy(update={"weinberg_factor": step_scale * config.weinberg_factor})
+    config = DeadReckoningConfig(step_scale=step_scale)
     walk = dead_reckon(
         read_phone_log(log, ("acceleration", "linear_acceleration", "gravity", "rate"), recover=recover), config
     )

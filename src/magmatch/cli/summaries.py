@@ -83,15 +83,16 @@ def _topic_text(topic: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any, unit: str) -> str:
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list):
-        return ", ".join(_text(v, "") if unit != "uT" else f"{1e6 * v:.4g}" for v in value) + f" {unit}".rstrip()
-    if isinstance(value, float):
-        # To a thousandth, however large: coordinates far from their origin.
-        return f"{told(1e6 * value if unit == 'uT' else value, 6, 1e-3)} {unit}".rstrip()
+    match value:
+        case None:
+            return "none"
+        case bool():
+            return "yes" if value else "no"
+        case list():
+            return ", ".join(_text(v, "") if unit != "uT" else f"{1e6 * v:.4g}" for v in value) + f" {unit}".rstrip()
+        case float():
+            # To a thousandth, however large: coordinates far from their origin.
+            return f"{told(1e6 * value if unit == 'uT' else value, 6, 1e-3)} {unit}".rstrip()
     return f"{value} {unit}".rstrip()
 
 

@@ -47,11 +47,14 @@ def checksum(document: Mapping[str, Any]) -> str:
 
 
 def _canonical(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _canonical(v) for key, v in value.items()}
-    if isinstance(value, list):
-        return [_canonical(v) for v in value]
-    return int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value
+    match value:
+        case dict():
+            return {key: _canonical(v) for key, v in value.items()}
+        case list():
+            return [_canonical(v) for v in value]
+        case float() if value.is_integer() and abs(value) < 2**53:
+            return int(value)
+    return value
 
 
 def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> dict[str, Any]:
@@ -61,14 +64,15 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
         raise DataFormatError(path, f"is larger than any {what} ({max_bytes} bytes)")
     try:
         text = content.decode("utf-8-sig")
-        document = json.loads(text, object_pairs_hook=unique_keys, parse_constant=_refuse, parse_float=_finite)
+        loaded = json.loads(text, object_pairs_hook=unique_keys, parse_constant=_refuse, parse_float=_finite)
+        document: dict[str, Any] = loaded if isinstance(loaded, dict) else {}
         # Files from elsewhere need not have a checksum.
-        is_changed = isinstance(document, dict) and document.get("checksum") not in (None, checksum(document))
+        is_changed = document.get("checksum") not in (None, checksum(document))
     except (ValueError, RecursionError) as error:
         raise DataFormatError(path, f"is not a {what} (JSON): {error}") from None
-    found = document.get("schema") if isinstance(document, dict) else None
-    if not isinstance(document, dict) or found != schema:
-        is_newer = isinstance(found, str) and found.startswith(schema.rpartition("/")[0] + "/")
+    found = document.get("schema")
+    if found != schema:
+        is_newer = str(found).startswith(schema.rpartition("/")[0] + "/")
         advice = "; it was written by another version of magmatch: update, or make it again" if is_newer else ""
         raise DataFormatError(path, f"key 'schema': expected '{schema}', found {found!r}{advice}")
     if is_changed:
@@ -165,20 +169,26 @@ def _finite(text: str) -> float:
 
 def plain(value: Any, key: str) -> Any:
     """Turn arrays, transforms and dataclasses into lists and mappings, non-finite numbers into None, for JSON."""
-    if isinstance(value, RigidTransform):
-        # Reading it gives the same bits.
-        value = transform_from_matrix(value.as_matrix()).as_matrix()
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    elif isinstance(value, Enum | Path):
-        value = value.value if isinstance(value, Enum) else str(value)
-    elif is_dataclass(value):
-        value = {f.name: getattr(value, f.name) for f in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(k): plain(v, f"{key}.{k}") for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v, key) for v in value]
-    if value is not None and not isinstance(value, bool | int | float | str):
-        msg = f"'{key}' holds a {type(value).__name__}, expected numbers, words, lists or mappings"
-        raise TypeError(msg)
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    match value:
+        case RigidTransform():
+            # Reading it gives the same bits.
+            value = transform_from_matrix(value.as_matrix()).as_matrix().tolist()
+        case np.ndarray() | np.generic():
+            value = value.tolist()
+        case Enum():
+            value = value.value
+        case Path():
+            value = str(value)
+        case _ if is_dataclass(value):
+            value = {f.name: getattr(value, f.name) for f in fields(value)}
+    match value:
+        case Mapping():
+            return {str(k): plain(v, f"{key}.{k}") for k, v in value.items()}
+        case list() | tuple():
+            return [plain(v, key) for v in value]
+        case float():
+            return value if math.isfinite(value) else None
+        case None | bool() | int() | str():
+            return value
+    msg = f"'{key}' holds a {type(value).__name__}, expected numbers, words, lists or mappings"
+    raise TypeError(msg)

@@ -36,7 +36,7 @@ def build_map(
     config : FieldConfig, optional
         Prior and hyperparameters; those not given are chosen from the data.
     run : callable, optional
-        Runs the tasks of a tiled map, such as `magmatch.workers.DaskRunner`; by default sequentially,
+        Runs the tasks of a tiled map, such as `magmatch.DaskRunner`; by default sequentially,
         in this process. The map is the same bit for bit.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.

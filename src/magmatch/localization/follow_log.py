@@ -13,14 +13,13 @@ from magmatch.errors import SurveyError
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import PoseEstimate
-from magmatch.localization.known_places import KnownPlaces, Place
+from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.samples import OdometryJump
 from magmatch.localization.track import Track
 from magmatch.preparation.odometry.drift import lie_level
 from magmatch.progress import tell
 from magmatch.registration.clock import Clock
-from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.maps import map_of, survey_of
 from magmatch.threads import one_blas_thread
 
@@ -28,17 +27,9 @@ log = logging.getLogger(__name__)
 
 
 def follow_log(
-    place: Place,
-    walk: Survey,
-    config: LocalizerConfig | None = None,
-    known: KnownPlaces | None = None,
-    *,
-    at_once: bool = False,
+    known: KnownPlaces, walk: Survey, config: LocalizerConfig | None = None, *, at_once: bool = False
 ) -> Track:
-    """Localise a log as if live; see `localize`, and `Localizer.estimate`.
-
-    ``known``: the place, where it was made ready before.
-    """
+    """Localise a log as if live; see `localize`, and `Localizer.estimate`."""
     config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     require_survey(walk, name="log")
@@ -46,14 +37,14 @@ def follow_log(
         msg = f"{walk.name}: expected a log with times, got none; add a column t (s)"
         raise SurveyError(msg)
     clock = Clock()
-    if config.is_gravity_aligned and not config.is_planar and _is_level(place, walk):
+    if config.is_gravity_aligned and not config.is_planar and _is_level(known, walk):
         log.info("all poses of map and log lie at one height each: taken as planar")
         config = config.model_copy(update={"is_planar": True})
     R = walk.orientations if walk.orientations is not None else Rotation.identity(len(walk))
     poses, field = RigidTransform.from_components(walk.positions, R), R.inv().apply(walk.field)
     with one_blas_thread():
         with clock("map"):
-            localizer = Localizer(known or place, config)
+            localizer = Localizer(known, config)
         estimates, places, was_stated = [], {}, False
         with clock("follow"):
             for n, t in enumerate(walk.times):
@@ -66,19 +57,20 @@ def follow_log(
                 estimates.append(localizer.estimate(at_once=at_once))
                 # Which map: as of the last stated pose, or of the end where none is.
                 is_end, was_stated = n == len(walk) - 1 and not was_stated, was_stated or estimates[-1].is_stated
-                if isinstance(place, Atlas) and (estimates[-1].is_stated or is_end):
+                if known.atlas and (estimates[-1].is_stated or is_end):
                     places = localizer.map_probabilities()
-    return Track(walk, _maps(place, estimates), estimates, config, clock.seconds(), places)
+    return Track(walk, _maps(known, estimates), estimates, config, clock.seconds(), places)
 
 
-def _is_level(place: Place, walk: Survey) -> bool:
+def _is_level(known: KnownPlaces, walk: Survey) -> bool:
     """Whether the log keeps one height, and the map does; of an atlas nobody looked."""
-    return not isinstance(place, Atlas) and all(lie_level([s]) for s in (walk, survey_of(place)))
+    return known.alone is not None and all(lie_level([s]) for s in (walk, survey_of(known.alone)))
 
 
-def _maps(place: Place, estimates: Sequence[PoseEstimate]) -> tuple[FieldMap, ...]:
+def _maps(known: KnownPlaces, estimates: Sequence[PoseEstimate]) -> tuple[FieldMap, ...]:
     """The map; of an atlas, those in which a pose is stated."""
-    if isinstance(place, Atlas):
-        named = {e.map for e in estimates}
-        return tuple(place.load(entry).field_map for entry in place.entries if entry.name in named)
-    return (map_of(place),)
+    if known.alone is not None:
+        return (map_of(known.alone),)
+    named = {e.map for e in estimates}
+    assert known.atlas is not None
+    return tuple(known.atlas.load(entry).field_map for entry in known.atlas.entries if entry.name in named)

@@ -35,7 +35,10 @@ class KnownPlaces:
     """
 
     def __init__(self, place: Place, loader: Executor | None = None) -> None:
-        self.place, self.loader = place, loader
+        self.loader = loader
+        # The folder of maps, or the only map.
+        self.atlas: Atlas | None = place if isinstance(place, Atlas) else None
+        self.alone: FieldMap | MapIndex | None = None if isinstance(place, Atlas) else place
         self._making: dict[AtlasEntry | None, Future[KnownMap]] = {}
         self._ready: dict[AtlasEntry | None, KnownMap] = {}
         self._fingerprint: str | None = None
@@ -43,7 +46,7 @@ class KnownPlaces:
     @property
     def entries(self) -> Sequence[AtlasEntry | None]:
         """The entries of an atlas; None for a single map."""
-        return self.place.entries if isinstance(self.place, Atlas) else (None,)
+        return (None,) if self.atlas is None else self.atlas.entries
 
     def fingerprint(self, entry: AtlasEntry | None) -> str:
         """Tell a version of a map from others: by its index's key, or by its samples and its field length."""
@@ -86,11 +89,12 @@ class KnownPlaces:
         return known
 
     def _make(self, entry: AtlasEntry | None) -> KnownMap:
-        if not isinstance(self.place, Atlas):
-            return KnownMap.of(self.place)
+        if self.alone is not None:
+            return KnownMap.of(self.alone)
         assert entry is not None
+        assert self.atlas is not None
         # Wherever it is found, it was looked for in all maps.
-        return replace(KnownMap.of(self.place.load(entry)), name=entry.name, volume=self.place.volume)
+        return replace(KnownMap.of(self.atlas.load(entry)), name=entry.name, volume=self.atlas.volume)
 
 
 def open_place(path: Path, names: Collection[str] | None = None) -> Place:

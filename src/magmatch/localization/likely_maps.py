@@ -28,17 +28,16 @@ class LikelyMaps:
     """The belief in each likely map."""
 
     def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
-        place = known.place
-        self._config, self._atlas, self.known = config, place if isinstance(place, Atlas) else None, known
+        self._config, self._atlas, self.known = config, known.atlas, known
         self._bins: list[Bin] = []
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
         self._voting: Future[Scalars] | None = None
         self._awaited: list[AtlasEntry] = []
         self.bin_length, self.why_none = 1.0, "the body has moved too little"
-        if isinstance(place, Atlas):
-            self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in place.entries]))
-        elif survey_of(place).field.std(axis=0).max() < CONSTANT_FIELD:
+        if known.atlas is not None:
+            self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in known.atlas.entries]))
+        elif known.alone is not None and survey_of(known.alone).field.std(axis=0).max() < CONSTANT_FIELD:
             # It has no field length either.
             self.why_none = "the map's field is constant: nothing tells places apart"
         else:

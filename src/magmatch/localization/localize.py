@@ -7,7 +7,7 @@ from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.hindsight.smooth import smooth
-from magmatch.localization.known_places import Place
+from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.localizer import ADVICE
 from magmatch.localization.track import Track
 from magmatch.progress import Progress, followed
@@ -52,4 +52,4 @@ def localize(
     expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
     expect_kind(log, "log", (Survey,), "a log is a Survey with times; read_survey reads one")
     with followed(progress):
-        return follow_log(place, log, config) if live else smooth(place, log, config)
+        return (follow_log if live else smooth)(KnownPlaces(place), log, config)

@@ -23,7 +23,7 @@ def prepare_either(
     raw : Survey, optional
         Without it, so with a constant bias to be estimated, often of tens of uT. None: there is no choice.
     config, **known
-        As in `magmatch.preparation.prepare.prepare`, for either.
+        As in `magmatch.prepare`, for either.
 
     Notes
     -----

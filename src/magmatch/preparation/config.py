@@ -70,7 +70,7 @@ class ResamplingConfig(Settings):
 
 
 class PreparationConfig(Settings):
-    """Settings of `magmatch.preparation.prepare.prepare`."""
+    """Settings of `magmatch.prepare`."""
 
     # m: of the samples of each step of the way only the first is used and kept; None takes all. Motion capture and
     # fast sensors give thousands to a metre, which tell no more and cost time.

@@ -15,7 +15,7 @@ from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 from magmatch.errors import ConfigurationError
 from magmatch.field.inducing.gaussian_grid import GaussianGrid, chunks
 from magmatch.field.inducing.inducing_model import InducingPosterior, dense_prior, gram_factor
-from magmatch.field.inducing.inducing_prior import InducingConfig
+from magmatch.field.inducing.inducing_prior import JITTER
 from magmatch.field.inducing.kernels import N_ROWS, DivergenceFreeKernel, Kernel
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
@@ -166,14 +166,14 @@ def recursively(field_map: FieldMap) -> FieldMap:
     if not isinstance(posterior, InducingPosterior) or field_map.config.prior != "divergence_free":
         msg = f"the recursion is of the prior 'divergence_free', got a map of '{field_map.config.prior}'"
         raise ConfigurationError(msg)
-    basis, jitter = posterior.model.basis, InducingConfig().jitter
+    basis = posterior.model.basis
     assert isinstance(basis, GaussianGrid)
     kernel = DivergenceFreeKernel(numbers.lengthscale, numbers.prior_scale * numbers.signal_sd)
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     tell(f"adding {len(samples)} samples one at a time")
-    start = RecursiveField.start(kernel, basis.grid.nodes, numbers.noise_sd, jitter=jitter)
+    start = RecursiveField.start(kernel, basis.grid.nodes, numbers.noise_sd, jitter=JITTER)
     belief = start.update_each(samples.positions, samples.field)
-    factor = dense_prior(basis.gram(), numbers, 0.0, jitter)
+    factor = dense_prior(basis.gram(), numbers, 0.0, JITTER)
     model = replace(posterior.model, constant_sd=0.0, factor=factor)
     precision = cholesky(np.linalg.inv(belief.white_covariance), lower=True)
     white = belief.white_mean

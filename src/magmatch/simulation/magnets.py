@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import import_extra
-from magmatch.typing import Points, Scalars, Vector3, Vectors
+from magmatch.typing import Matrix, Points, Scalars, Vector3, Vectors
 
 # Source-point pairs evaluated at once: bounds memory at some 100 MB however long a survey is.
 _PAIRS_AT_ONCE = 400_000
@@ -25,6 +25,20 @@ class Cuboid:
     polarization: Vector3  # (3,), T: magnetic polarisation J = mu0 M, body frame
     rotation: Rotation  # takes body coordinates to world coordinates
 
+    def distance_to(self, points: Points) -> Scalars:
+        """Distance of points to the surface; zero inside it."""
+        return _outside(np.abs((points - self.center) @ self.rotation.as_matrix()) - self.size / 2)
+
+    def strengthened(self, factor: float) -> "Cuboid":
+        """Return the same body, its magnetisation multiplied."""
+        return replace(self, polarization=self.polarization * factor)
+
+    def in_magpylib(self, magpylib: ModuleType) -> Any:
+        """Magpylib's counterpart (SI units on both sides)."""
+        return magpylib.magnet.Cuboid(
+            position=self.center, orientation=self.rotation, polarization=self.polarization, dimension=self.size
+        )
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cylinder:
@@ -36,6 +50,23 @@ class Cylinder:
     polarization: Vector3  # (3,), T: magnetic polarisation J = mu0 M, body frame
     rotation: Rotation  # takes body coordinates to world coordinates
 
+    def distance_to(self, points: Points) -> Scalars:
+        """Distance of points to the surface; zero inside it."""
+        local = (points - self.center) @ self.rotation.as_matrix()
+        radial = np.hypot(local[:, 0], local[:, 1]) - self.diameter / 2
+        return _outside(np.column_stack([radial, np.abs(local[:, 2]) - self.height / 2]))
+
+    def strengthened(self, factor: float) -> "Cylinder":
+        """Return the same body, its magnetisation multiplied."""
+        return replace(self, polarization=self.polarization * factor)
+
+    def in_magpylib(self, magpylib: ModuleType) -> Any:
+        """Magpylib's counterpart (SI units on both sides)."""
+        return magpylib.magnet.Cylinder(
+            position=self.center, orientation=self.rotation, polarization=self.polarization,
+            dimension=(self.diameter, self.height),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Dipole:
@@ -43,6 +74,18 @@ class Dipole:
 
     center: Vector3  # (3,), m: world frame
     moment: Vector3  # (3,), A m^2: world frame
+
+    def distance_to(self, points: Points) -> Scalars:
+        """Distance of points to it."""
+        return np.asarray(np.linalg.norm(points - self.center, axis=1))
+
+    def strengthened(self, factor: float) -> "Dipole":
+        """Return the same dipole, its moment multiplied."""
+        return replace(self, moment=self.moment * factor)
+
+    def in_magpylib(self, magpylib: ModuleType) -> Any:
+        """Magpylib's counterpart (SI units on both sides)."""
+        return magpylib.misc.Dipole(position=self.center, moment=self.moment)
 
 
 Source = Cuboid | Cylinder | Dipole
@@ -64,7 +107,7 @@ def field_of(sources: Sequence[Source], points: Points) -> Vectors:
     if not sources or not len(points):
         return field
     magpylib = import_extra("magpylib", "simulating magnetic sources", "simulation")
-    bodies = [_body(magpylib, source) for source in sources]
+    bodies = [source.in_magpylib(magpylib) for source in sources]
     step = max(_PAIRS_AT_ONCE // len(bodies), 1)
     for start in range(0, len(points), step):
         part = points[start : start + step]
@@ -79,32 +122,6 @@ def field_of(sources: Sequence[Source], points: Points) -> Vectors:
     return field
 
 
-def distance_to(source: Source, points: Points) -> Scalars:
-    """Distance of points to the surface of a source; zero inside it."""
-    offset = points - source.center
-    if isinstance(source, Dipole):
-        return np.asarray(np.linalg.norm(offset, axis=1))
-    local = offset @ source.rotation.as_matrix()
-    if isinstance(source, Cuboid):
-        beyond = np.abs(local) - source.size / 2
-    else:
-        radial = np.hypot(local[:, 0], local[:, 1]) - source.diameter / 2
-        beyond = np.column_stack([radial, np.abs(local[:, 2]) - source.height / 2])
+def _outside(beyond: Matrix) -> Scalars:
+    """Distance of points that lie so far beyond a body's faces, along each axis."""
     return np.asarray(np.linalg.norm(np.maximum(beyond, 0), axis=1))
-
-
-def strengthened(source: Source, factor: float) -> Source:
-    """Return the same source, its magnetisation multiplied."""
-    if isinstance(source, Dipole):
-        return replace(source, moment=source.moment * factor)
-    return replace(source, polarization=source.polarization * factor)
-
-
-def _body(magpylib: ModuleType, source: Source) -> Any:
-    """Magpylib's counterpart of a source (SI units on both sides; the one place that knows its names)."""
-    if isinstance(source, Dipole):
-        return magpylib.misc.Dipole(position=source.center, moment=source.moment)
-    pose = {"position": source.center, "orientation": source.rotation, "polarization": source.polarization}
-    if isinstance(source, Cuboid):
-        return magpylib.magnet.Cuboid(dimension=source.size, **pose)
-    return magpylib.magnet.Cylinder(dimension=(source.diameter, source.height), **pose)

@@ -18,7 +18,7 @@ def simulate(scenario: str, seed: int = 0, config: SimulationConfig | None = Non
     Parameters
     ----------
     scenario : str
-        One of `magmatch.simulation.scenarios.SCENARIOS`, such as ``'office'``, ``'table'`` or ``'nowhere'``.
+        One of `magmatch.simulation.SCENARIOS`, such as ``'office'``, ``'table'`` or ``'nowhere'``.
     seed : int
         Same scenario, seed and config give the same numbers bit for bit; the noise of base and target differs.
     config : SimulationConfig, optional

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.simulation.magnets import Cuboid, Cylinder, Source, distance_to, field_of, strengthened
+from magmatch.simulation.magnets import Cuboid, Cylinder, Source, field_of
 from magmatch.typing import Points, Vector3
 
 # Sources per square metre of wall, floor and ceiling: cabinets, girders, pipes and rebar of an office.
@@ -103,14 +103,14 @@ def calibrated(sources: Sequence[Source], probes: Points, anomaly_sd: float) -> 
     """Give the sources, strengthened together until the field varies as much as wanted."""
     field = field_of(sources, probes)
     factor = anomaly_sd / float(np.sqrt(((field - field.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    return [strengthened(source, factor) for source in sources]
+    return [source.strengthened(factor) for source in sources]
 
 
 def is_clear(sources: Sequence[Source], points: Points, clearance: float) -> np.ndarray:
     """Whether each point keeps its distance from all sources: (n,) bool."""
     clear = np.ones(len(points), dtype=bool)
     for source in sources:
-        clear &= distance_to(source, points) >= clearance
+        clear &= source.distance_to(points) >= clearance
     return clear
 
 
@@ -120,12 +120,12 @@ def rearranged(
     """Give the sources after some were moved, each by 0.3 to 0.8 m, none closer to the samples than the clearance."""
     after = list(sources)
     for k in rng.permutation(len(after))[: round(fraction * len(after))]:
-        least = min(clearance, float(distance_to(after[k], points).min()))
+        least = min(clearance, float(after[k].distance_to(points).min()))
         for _ in range(100):
             direction = rng.standard_normal(3)
             shift = rng.uniform(0.3, 0.8) * direction / np.linalg.norm(direction)
             moved = replace(after[k], center=after[k].center + shift)
-            if distance_to(moved, points).min() >= least:
+            if moved.distance_to(points).min() >= least:
                 after[k] = moved
                 break
     return after

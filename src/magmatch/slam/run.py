@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`slam`: logs whose poses drift in, corrected logs in one frame out."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from magmatch.arguments import expect_kind
@@ -37,7 +37,7 @@ def slam(
     waypoints : bool
         Points that the logs hold themselves are fixed points too.
     run : callable, optional
-        Lets other processes make and compare submaps, such as `magmatch.workers.DaskRunner`: called with a function
+        Lets other processes make and compare submaps, such as `magmatch.DaskRunner`: called with a function
         and tasks, which can be pickled, it gives the results in the tasks' order. By default this process does all
         of it; it makes submaps on the cores that are free. The result is the same bit for bit.
     progress : callable, optional
@@ -58,11 +58,11 @@ def slam(
     DataFormatError, ConfigurationError
         The table holds no fixed points, or one that no log passed; says which and why.
     """
+    logs = [logs] if isinstance(logs, Survey) else logs
     # A path or a DataFrame has parts, too, but none that is a log.
-    has_logs = isinstance(logs, Iterable) and not isinstance(logs, str) and not hasattr(logs, "columns")
-    if not has_logs and not isinstance(logs, Survey):
+    if isinstance(logs, str) or hasattr(logs, "columns") or not hasattr(logs, "__iter__"):
         require_survey(logs, name="logs")
-    config, given = config or SlamConfig(), [logs] if isinstance(logs, Survey) else list(logs)
+    config, given = config or SlamConfig(), list(logs)
     expect_kind(config, "config", (SlamConfig,))
     if not given:
         msg = "expected at least one log, got none"

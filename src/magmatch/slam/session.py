@@ -118,7 +118,7 @@ class Session:
         require_distinct(given)
         listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
         for k, anchor in enumerate(listed):
-            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.slam.graph.anchors.Anchor")
+            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.Anchor")
         before = [a for a, _ in earlier.anchors] if earlier else []
         if waypoints:
             is_tied = config.origin is not None or all(a.in_degrees for a in (*listed, *before))

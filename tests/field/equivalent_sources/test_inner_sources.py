@@ -17,11 +17,11 @@ from magmatch.field.equivalent_sources.inner_sources import find_inner_sources
 from magmatch.field.equivalent_sources.magnets import find_magnets
 from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+from magmatch.field.priors.harmonic import HarmonicPrior
 
 BOX, NOISE = np.array([1.6, 1.2, 0.8]), 0.4e-6
 H = Hyperparameters(lengthscale=0.4, signal_sd=12e-6, noise_sd=NOISE, spacing=0.2)
-PRIOR = HarmonicPrior(HarmonicConfig(max_sources=600, max_search_sources=600))
+PRIOR = HarmonicPrior(max_sources=600)
 
 
 def field_at(points, strength):
@@ -161,7 +161,7 @@ def test_no_magnet_is_moved_onto_the_sample_that_it_would_explain():
 
 def test_a_declared_box_is_kept_free_of_charges_whatever_the_data_show():
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
-    assert HarmonicPrior(PRIOR.config, box).build(*room(0.5), H).basis.inner is None
+    assert HarmonicPrior(box, PRIOR.max_sources).build(*room(0.5), H).basis.inner is None
     assert PRIOR.build(*room(0.5), H).basis.inner is not None
 
 

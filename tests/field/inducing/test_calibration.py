@@ -12,11 +12,11 @@ from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated, misfit_inflation, widened
 from magmatch.field.priors import PRIORS
-from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+from magmatch.field.priors.harmonic import HarmonicPrior
 
 BOX, NOISE = np.array([1.6, 1.2, 0.8]), 0.5e-6
 H = Hyperparameters(lengthscale=0.4, signal_sd=12e-6, noise_sd=2 * NOISE, spacing=0.2)
-PRIOR = HarmonicPrior(HarmonicConfig(max_sources=500, max_search_sources=500))
+PRIOR = HarmonicPrior(max_sources=500)
 # Small magnets that samples come so near to that they leave no hole.
 MAGNETS, NEAREST = np.array([[0.4, 0.4, 0.4], [1.1, 0.8, 0.3], [1.2, 0.3, 0.5]]), 0.06
 
@@ -45,7 +45,7 @@ def test_intervals_hold_where_magnets_among_the_samples_break_the_promise_of_the
     points, field = survey(3.0)
     # A box that is declared free of sources allows no charges at the magnets.
     box = Box(np.zeros(3), BOX, RigidTransform.identity())
-    prior = HarmonicPrior(PRIOR.config, box)
+    prior = HarmonicPrior(box, PRIOR.max_sources)
     h = calibrated(prior, points, field, prior.choose_hyperparameters(points, field))
     model = prior.build(points, field, h)
     posterior = model.infer(model.observe(points, field))

@@ -19,7 +19,6 @@ from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.inducing.gaussian_grid import GaussianGrid
 from magmatch.field.inducing.inducing_grid import InducingGrid
 from magmatch.field.inducing.inducing_model import InducingModel, dense_prior, gram_factor
-from magmatch.field.inducing.inducing_prior import InducingConfig
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
@@ -165,7 +164,7 @@ def test_grid_evaluation_equals_evaluation_at_its_points(posterior):
 def test_the_unit_of_the_field_does_not_matter(posterior, samples, unit):
     points, field = samples
     h = replace(H, signal_sd=H.signal_sd * unit, noise_sd=H.noise_sd * unit)
-    prior = DivergenceFreePrior(InducingConfig(constant_sd=CONSTANT_SD * unit))
+    prior = DivergenceFreePrior(constant_sd=CONSTANT_SD * unit)
     model = prior.build(points, field * unit, h)
     other = model.infer(model.observe(points, field * unit))
     np.testing.assert_allclose(other.weights / unit, posterior.weights, atol=1e-7 * np.abs(posterior.weights).max())
@@ -269,7 +268,7 @@ def test_hyperparameters_follow_the_units_of_length_and_field(room):
 
 def test_wide_surveys_get_the_finest_nodes_the_cap_allows(caplog, room):
     points, field = room(seed=1, n=400, box=(12.0, 9.0, 1.0))
-    prior = DivergenceFreePrior(InducingConfig(max_inducing_points=100))
+    prior = DivergenceFreePrior(most=100)
     h = prior.choose_hyperparameters(points, field)
     assert "100 inducing points cannot cover the survey more finely" in caplog.text
     model = prior.build(points, field, h)

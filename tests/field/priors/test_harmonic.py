@@ -14,7 +14,7 @@ from magmatch.field.equivalent_sources.charges import charge_design, charge_fiel
 from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
-from magmatch.field.priors.harmonic import HarmonicConfig, HarmonicPrior
+from magmatch.field.priors.harmonic import SPACING_RATIO, HarmonicPrior
 from magmatch.field.variogram import typical_length
 
 EARTH = np.array([18e-6, 2e-6, -44e-6])
@@ -91,12 +91,12 @@ def test_what_is_affordable_is_what_a_layer_takes_that_stands_as_near_as_the_fie
     points, field = room()
     length = typical_length(points, field)
     needed = {
-        distance: len(lay_shell(points, distance * length, 0.7 * distance * length, 10**6).sources)
+        distance: len(lay_shell(points, distance * length, SPACING_RATIO * distance * length, 10**6).sources)
         for distance in (0.5, 1.0)
     }
     assert needed[1.0] < 0.5 * needed[0.5]
     for cap, expected in ((1.2 * needed[0.5], True), (1.2 * needed[1.0], True), (0.8 * needed[1.0], False)):
-        prior = HarmonicPrior(HarmonicConfig(max_sources=int(cap), spacing_ratio=0.7))
+        prior = HarmonicPrior(max_sources=int(cap))
         assert prior.is_affordable(points, field) is expected
         assert prior.is_affordable(10 * points, field) is expected
 
@@ -115,7 +115,7 @@ def test_a_declared_box_is_kept_free_of_charges():
 
 def test_a_huge_box_takes_a_coarser_layer_not_the_machine():
     box = Box(np.full(3, -1e4), np.full(3, 1e4), RigidTransform.identity())
-    model = HarmonicPrior(HarmonicConfig(max_sources=500), box).build(*room(), H)
+    model = HarmonicPrior(box, max_sources=500).build(*room(), H)
     assert model.basis.n_weights <= 500
     assert model.basis.distance > 100
 

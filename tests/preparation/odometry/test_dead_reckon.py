@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
 from magmatch.errors import DataFormatError, MissingExtraError
-from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.preparation.odometry.dead_reckon import dead_reckon
-from magmatch.preparation.odometry.steps import find_steps
+from magmatch.preparation.odometry.steps import STEP_FREQUENCY, WEINBERG_FACTOR, find_steps
 
 pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
 RATE, STEP_RATE, SWING, G = 100.0, 1.8, 2.5, 9.81
@@ -41,11 +40,10 @@ def walk(turns=SQUARE, *, pitch_deg=50.0, stand=5.0, bias=(0.0, 0.0, 0.0), rate=
     return PhoneLog(Path("walk.zip"), "made up", streams)
 
 
-def length_of(seconds, config=None):
+def length_of(seconds):
     """What Weinberg's rule makes of the steps in some time; the low-pass takes a part of the swing."""
-    config = config or DeadReckoningConfig()
-    kept = 1 / (1 + (np.tan(np.pi * STEP_RATE / RATE) / np.tan(np.pi * config.step_frequency / RATE)) ** 4)
-    return seconds * STEP_RATE * config.weinberg_factor * (2 * SWING * kept) ** 0.25
+    kept = 1 / (1 + (np.tan(np.pi * STEP_RATE / RATE) / np.tan(np.pi * STEP_FREQUENCY / RATE)) ** 4)
+    return seconds * STEP_RATE * WEINBERG_FACTOR * (2 * SWING * kept) ** 0.25
 
 
 def test_a_square_walk_is_a_square_of_the_right_size():
@@ -97,16 +95,15 @@ def test_standing_adds_nothing_to_the_path():
 
 def test_steps_grow_with_the_fourth_root_of_the_swing():
     t = np.arange(0, 20, 1 / RATE)
-    config = DeadReckoningConfig()
     small, large = (
-        find_steps(G + a * np.sin(2 * np.pi * STEP_RATE * t), config).lengths[5:-5].mean() for a in (2.0, 6.0)
+        find_steps(G + a * np.sin(2 * np.pi * STEP_RATE * t), RATE).lengths[5:-5].mean() for a in (2.0, 6.0)
     )
     assert large / small == pytest.approx(3**0.25, rel=1e-3)
 
 
 def test_speed_of_steps_adds_up_to_their_lengths():
     t = np.arange(0, 20, 1 / RATE)
-    steps = find_steps(3 * np.sin(2 * np.pi * STEP_RATE * t) * (np.abs(t - 10) > 3), DeadReckoningConfig())
+    steps = find_steps(3 * np.sin(2 * np.pi * STEP_RATE * t) * (np.abs(t - 10) > 3), RATE)
     speed = steps.speed(len(t), RATE)
     assert (speed >= 0).all()
     assert speed.sum() / RATE == pytest.approx(steps.lengths.sum(), rel=1e-9)

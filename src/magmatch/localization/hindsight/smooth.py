@@ -21,7 +21,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.hindsight.stretches import agreement, believed, offsets, stacked
-from magmatch.localization.known_places import KnownPlaces, Place
+from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.track import Track
 from magmatch.typing import Mask
@@ -29,12 +29,12 @@ from magmatch.typing import Mask
 REFUTED = "the rest of the log contradicts the pose that was probable here"
 
 
-def smooth(place: Place, walk: Survey, config: LocalizerConfig | None = None) -> Track:
+def smooth(known: KnownPlaces, walk: Survey, config: LocalizerConfig | None = None) -> Track:
     """Localise a log in a map, using also the samples after each pose; see `localize`."""
-    config, known = config or LocalizerConfig(), KnownPlaces(place)
+    config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     # Whether a fix stands is seen from the whole log.
-    there, back = (follow_log(place, log, config, known, at_once=True) for log in (walk, reversed_log(walk)))
+    there, back = (follow_log(known, log, config, at_once=True) for log in (walk, reversed_log(walk)))
     forward, backward = list(there.estimates), list(reversed(back.estimates))
     both, agree = agreement(forward, backward)
     length = LikelyMaps(known, config).bin_length / BIN_LENGTH

@@ -13,11 +13,15 @@ from magmatch.errors import DataFormatError
 from magmatch.number_text import many
 from magmatch.preparation.odometry.attitude import attitude
 from magmatch.preparation.odometry.config import DeadReckoningConfig
-from magmatch.preparation.odometry.steps import Steps, find_steps
+from magmatch.preparation.odometry.steps import LONGEST_STEP, Steps, find_steps
 from magmatch.typing import Indices, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
+# Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.
+RATE = 100.0
+# Relative standard deviations: of Weinberg's factor between people (8 %, AN-602), and of one step beside it.
+FACTOR_SD, STEP_SD = 0.08, 0.1
 WHAT_FOR = "dead reckoning"
 # Bounds of what is taken for one walk: s, readings a second, and the longest gap that is not worth a word (s).
 SPAN, SLOWEST, GAP = (2.0, 86_400.0), 15.0, 0.2
@@ -63,23 +67,23 @@ def dead_reckon(phone: PhoneLog, config: DeadReckoningConfig | None = None) -> O
     """
     config = config or DeadReckoningConfig()
     acceleration, rate = usable(phone)
-    times, stop = _even_times(phone, (acceleration, rate), config)
+    times, stop = _even_times(phone, (acceleration, rate))
     felt, turning = acceleration.at(times), rate.at(times)
-    orientations = attitude(turning, felt, config)
-    steps = find_steps(orientations.apply(felt)[:, 2], config).within(_pieces(times, config))
+    orientations = attitude(turning, felt, RATE)
+    steps = find_steps(orientations.apply(felt)[:, 2], RATE, config.step_scale).within(_pieces(times))
     if not len(steps):
         message = f"no step is found in {times[-1] - times[0]:.3g} s; expected a walk with the phone in the hand"
         raise DataFormatError(phone.path, message)
-    speed = steps.speed(len(times), config.rate)
-    moves = heading(orientations) * (speed / config.rate)[:, None]
+    speed = steps.speed(len(times), RATE)
+    moves = heading(orientations) * (speed / RATE)[:, None]
     positions = np.zeros((len(times), 3))
     positions[1:, :2] = np.cumsum(moves[:-1], axis=0)
     length = float(steps.lengths.sum())
-    by_step = config.step_sd * float(np.sqrt((steps.lengths**2).sum()))
+    by_step = STEP_SD * float(np.sqrt((steps.lengths**2).sum()))
     trajectory = Trajectory(times, positions, orientations)
-    if 0 < stop - times[-1] <= 1 / config.rate:  # the last reading rarely falls on an even time
-        trajectory = _carried_on(trajectory, stop, moves[-1] * config.rate, turning[-1])
-    return Odometry(trajectory, steps, float(np.hypot(config.factor_sd * length, by_step)))
+    if 0 < stop - times[-1] <= 1 / RATE:  # the last reading rarely falls on an even time
+        trajectory = _carried_on(trajectory, stop, moves[-1] * RATE, turning[-1])
+    return Odometry(trajectory, steps, float(np.hypot(FACTOR_SD * length, by_step)))
 
 
 def usable(phone: PhoneLog) -> tuple[Stream, Stream]:
@@ -121,10 +125,10 @@ def heading(orientations: Rotation) -> Vectors:
     return np.asarray(level / np.maximum(size, 1e-9))
 
 
-def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: DeadReckoningConfig) -> tuple[Scalars, float]:
-    """Times at the configured rate that all sensors cover, none of them in a long gap, and where the sensors end."""
+def _even_times(phone: PhoneLog, streams: tuple[Stream, ...]) -> tuple[Scalars, float]:
+    """Times at even steps that all sensors cover, none of them in a long gap, and where the sensors end."""
     start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
-    times = np.asarray(start + np.arange(int((stop - start) * config.rate) + 1) / config.rate)
+    times = np.asarray(start + np.arange(int((stop - start) * RATE) + 1) / RATE)
     for stream in streams:
         intervals = np.diff(stream.times)
         if intervals.max() > GAP:
@@ -133,8 +137,8 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: DeadReckon
             log.warning(words, phone.path, stream.source, many(n_gaps, "gap"), intervals.max())
         before = np.clip(np.searchsorted(stream.times, times) - 1, 0, len(intervals) - 1)
         is_between = (times > stream.times[before]) & (times < stream.times[before + 1])
-        times = times[~(is_between & (intervals[before] > config.longest_step))]
-    if (n_pieces := _pieces(times, config)[-1] + 1) > 1:
+        times = times[~(is_between & (intervals[before] > LONGEST_STEP))]
+    if (n_pieces := _pieces(times)[-1] + 1) > 1:
         words = (
             "%s: the path is in %d pieces; each goes on where and as the one before it stopped, as if you had stood"
         )
@@ -142,6 +146,6 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...], config: DeadReckon
     return times, float(stop)
 
 
-def _pieces(times: Scalars, config: DeadReckoningConfig) -> Indices:
+def _pieces(times: Scalars) -> Indices:
     """Numbers of the pieces between long gaps, counted from 0: (n,)."""
-    return np.concatenate([[0], np.cumsum(np.diff(times) > config.longest_step)])
+    return np.concatenate([[0], np.cumsum(np.diff(times) > LONGEST_STEP)])

@@ -59,9 +59,10 @@ def write_report(
     if base is not None and target is not None:
         base_survey, target_survey = survey_of(base), survey_of(target)
         sections.append(Section("In space", [figure_row(scene_figures(base_survey, target_survey, result))]))
-        sections += _field(base, target, result)
-        if published is not None and isinstance(base, FieldMap) and isinstance(target, FieldMap):
-            figures = published_figures(base, target, result.links, published).values()
+        maps = [side for side in (base, target) if isinstance(side, FieldMap)]
+        sections += _field(maps[0], maps[1], result) if len(maps) == 2 else []
+        if published is not None and len(maps) == 2:
+            figures = published_figures(maps[0], maps[1], result.links, published).values()
             sections.append(Section("What the published method sees", [figure_row([figure]) for figure in figures]))
         sections += _agreement(base, target, result)
         sections += certainty(result, target_survey)
@@ -93,10 +94,8 @@ def _answer(result: RegistrationResult) -> Section:
     )
 
 
-def _field(base: Survey | FieldMap, target: Survey | FieldMap, result: RegistrationResult) -> list[Section]:
+def _field(base: FieldMap, target: FieldMap, result: RegistrationResult) -> list[Section]:
     """Both maps on one cut, and side by side with the links between them."""
-    if not (isinstance(base, FieldMap) and isinstance(target, FieldMap)):
-        return []
     blocks = [
         note("One colour scale for both maps. Blank: the map has no samples nearby."),
         figure_row(slice_figures(base, target, result)),
