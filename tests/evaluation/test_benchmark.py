@@ -25,6 +25,7 @@ def without_costs(rows):
     return [replace(row, seconds=0.0, peak_bytes=0) for row in rows]
 
 
+@pytest.mark.slow
 def test_run_killed_again_and_again_repeats_nothing_and_gives_the_same_table(tmp_path):
     words = [sys.executable, toy.__file__, str(tmp_path)]
     n_killed = 0

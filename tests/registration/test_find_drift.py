@@ -110,6 +110,7 @@ def turning(survey, degrees):
     return Survey(np.concatenate([[np.zeros(3)], np.cumsum(steps, axis=0)]), turn.apply(survey.field))
 
 
+@pytest.mark.slow
 def test_a_survey_compared_as_a_map_is_known_no_better_than_its_drift_lets_it():
     pair, config = made(3), RegistrationConfig(search="invariants")
     base = prepare_index(build_map(pair.base), config)

