@@ -49,7 +49,7 @@ class Run:
 
 
 RUNS = (
-    Run(("headline",), "headline.py --jobs {jobs} --out {out}", 4),
+    Run(("headline",), "headline.py --jobs {jobs} --out {out}", 2),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
         "evaluate published mapping --seeds 20 --jobs {jobs} --from {data} --out {out}",
