@@ -13,10 +13,10 @@ WORKERS ?= 2
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml packages/magmatch-serve/pyproject.toml evaluation/pyproject.toml
+$(STAMP): pyproject.toml packages/magmatch-serve/pyproject.toml packages/magmatch-evaluation/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]" \
-	  -e "./packages/magmatch-serve[foxglove]" -e ./evaluation
+	  -e "./packages/magmatch-serve[foxglove]" -e ./packages/magmatch-evaluation
 	touch $@ $(DEMO_STAMP)
 
 $(DEMO_STAMP): pyproject.toml
@@ -67,14 +67,15 @@ release-check: check
 results: setup
 	$(BIN)/python benchmarks/write_results.py
 
-# The figures of README, in four minutes on two cores; fails where one has left the interval that README states.
+# The figures of README, in two minutes on two cores; fails where one has left the interval that README states.
 headline: setup
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/headline.py --jobs $(WORKERS) --check
 
 # Renews the published tables that are older than the code, in at most four hours; goes on where it stood. ONLY="a b"
-# names some tables, DRY=1 only lists what is to be done, with minutes.
+# names some tables, DATA is the folder of recordings, DRY=1 only lists what is to be done, with minutes.
 results-all: setup
-	$(BIN)/python benchmarks/renew_results.py --jobs $(WORKERS) $(if $(DRY),--dry-run) $(if $(ONLY),--only $(ONLY))
+	$(BIN)/python benchmarks/renew_results.py --jobs $(WORKERS) $(if $(DATA),--data $(DATA)) $(if $(DRY),--dry-run) \
+	  $(if $(ONLY),--only $(ONLY))
 
 # Under three hours on two cores; an interrupted run goes on where it stood.
 bench: setup
@@ -82,7 +83,7 @@ bench: setup
 
 docs: setup
 	$(BIN)/python -m pytest --doctest-modules -p no:cacheprovider src/magmatch \
-	  packages/magmatch-serve/src evaluation/src
+	  packages/magmatch-serve/src packages/magmatch-evaluation/src
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --clean
 
 # Runs every command of the tutorial and writes what it prints into the page.

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import toy
 
+import toy
 from magmatch.errors import ConfigurationError
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.benchmark import evaluate
