@@ -56,6 +56,7 @@ def last_answer(service, log, n=None, key=None):
     return said
 
 
+@pytest.mark.slow
 def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
     folder = tmp_path / "maps"
     folder.mkdir()
