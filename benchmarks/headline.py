@@ -53,9 +53,9 @@ def experiments() -> list[Experiment]:
 
 
 def enclosing(values: Sequence[float]) -> tuple[float, float, float]:
-    """Median, and the innermost order statistics that enclose the true one with 95 %, of six values or more."""
+    """Median, and the innermost order statistics that enclose the true one with 95 %; of fewer than six values, all."""
     ordered, n = np.sort(values), len(values)
-    k = int(binom.ppf(0.025, n, 0.5)) - 1
+    k = max(int(binom.ppf(0.025, n, 0.5)) - 1, 0)
     return float(np.median(ordered)), float(ordered[k]), float(ordered[n - 1 - k])
 
 

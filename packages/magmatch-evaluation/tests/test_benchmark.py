@@ -98,6 +98,7 @@ def test_rough_start_is_as_rough_as_stated(tmp_path):
     assert [row.angle for row in rows] == pytest.approx([0.17453292519943295] * len(rows))
 
 
+@pytest.mark.slow
 def test_workers_give_the_same_rows(tmp_path):
     pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
     make = Simulated("uniform", SimulationConfig(n_samples=40))
