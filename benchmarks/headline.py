@@ -53,7 +53,7 @@ def experiments() -> list[Experiment]:
 
 
 def enclosing(values: Sequence[float]) -> tuple[float, float, float]:
-    """Median, and the innermost order statistics that enclose the true one with 95 %; of fewer than six values, all."""
+    """Median, and the innermost order statistics that enclose the true one with 95 %; of under six values, all."""
     ordered, n = np.sort(values), len(values)
     k = max(int(binom.ppf(0.025, n, 0.5)) - 1, 0)
     return float(np.median(ordered)), float(ordered[k]), float(ordered[n - 1 - k])
