@@ -30,7 +30,7 @@ VERBS = (
 # What registration/search holds, by the names that its files had before that folder was made.
 STEPS = ("annealing", "candidate", "invariant_search", "neighbours", "pair_search", "scoring")
 # Where packages lie.
-PACKAGES = ("src", "packages", "evaluation")
+PACKAGES = ("src", "packages")
 # Assigned, but chosen by nobody: an axis, quantiles of distributions (their probabilities are counted where chosen).
 NOT_CHOSEN = {"UP", "MEDIAN_CHI2_3", "MEDIAN_CHI2_5", "FAR2"}
 # Inside functions, these are of mathematics: halves, doubles, squares, dimensions.

@@ -22,7 +22,8 @@ from pathlib import Path
 REPOSITORY = Path(__file__).parents[1]
 ROOMS = ("registration", "field", "preparation", "data/logs")
 PACKAGE = Path("src/magmatch")
-COMMAND = [sys.executable, "-m", "pytest", "-q", "-x"]
+# The tests of `make test`.
+COMMAND = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow"]
 # What a file with compiled loops imports.
 COMPILER = "magmatch.compiled"
 # Address space of a run of tests.

@@ -21,7 +21,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"
 # A file or a folder of the package as pages name it, from its room on; pages of the theory leave out the folders
 # that their line "Code:" names.
 SOURCE = re.compile(r"`((?:[a-z_0-9]+/)*[a-z_0-9]+(?:/|\.py))`")
-PACKAGES = [ROOT / "src" / "magmatch", ROOT, ROOT / "packages" / "magmatch-serve" / "src"]
+PACKAGES = [ROOT / "src" / "magmatch", ROOT, *sorted(ROOT.glob("packages/*/src"))]
 COMMANDS = typer.main.get_command(build_app())
 
 

@@ -65,6 +65,7 @@ def test_the_same_seed_gives_the_same_bits(office):
     np.testing.assert_array_equal(again.T_base_target.as_matrix(), result.T_base_target.as_matrix())
 
 
+@pytest.mark.slow
 def test_walks_along_the_path_of_another_are_refined_from_both_sides():
     errors = []
     for seed in (301, 302, 303):

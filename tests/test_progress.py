@@ -23,6 +23,7 @@ class Heard(list):
         self.append((what, share))
 
 
+@pytest.mark.slow
 def test_every_verb_tells_the_same_callback_and_gives_the_same_answer(pair, tmp_path):
     turned = mm.simulate("office-hand-held", 3, SimulationConfig(n_samples=300)).target
     calls = {

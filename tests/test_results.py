@@ -5,14 +5,16 @@ import shutil
 import subprocess
 import sys
 from argparse import ArgumentTypeError
-from pathlib import Path
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from unittest.mock import patch
 
 import pytest
+import write_results
 
 from magmatch_evaluation.saved_table import ResultTable, saver, show
 from magmatch_evaluation.script import kept
 
-SCRIPT = Path(__file__).parents[1] / "benchmarks" / "write_results.py"
 SOME = '{"columns": ["error"], "where": {"case": ["walk"]}}'
 OLDER = "**Older than the code.**"
 
@@ -30,10 +32,10 @@ def commit(root):
 
 def results(root, *options):
     """Exit code and all that is said."""
-    done = subprocess.run(
-        [sys.executable, SCRIPT, "--root", root, *options], check=False, capture_output=True, text=True
-    )
-    return done.returncode, done.stdout + done.stderr
+    said = StringIO()
+    words = ["write_results.py", "--root", str(root), *options]
+    with patch.object(sys, "argv", words), redirect_stdout(said), redirect_stderr(said):
+        return write_results.main(), said.getvalue()
 
 
 def table(commits, covers=("src",)):
@@ -191,8 +193,8 @@ def test_a_benchmark_saves_the_commit_it_began_with(root, monkeypatch):
 def test_kept_rows_keep_the_commits_they_were_made_of(root, monkeypatch):
     monkeypatch.chdir(root)
     monkeypatch.setattr("sys.argv", ["b.py", "--save", "errors"])
-    for folder in ("evaluation", "benchmarks"):
-        (root / folder / "code.py").parent.mkdir(exist_ok=True)
+    for folder in ("packages/magmatch-evaluation/src", "benchmarks"):
+        (root / folder / "code.py").parent.mkdir(parents=True, exist_ok=True)
         (root / folder / "code.py").write_text("x = 1\n")
 
     def rows(*names):

@@ -2,16 +2,13 @@
 """Parts run side by side give the same bits, and their faults come through."""
 
 import contextvars
-import re
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import magmatch
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
@@ -145,13 +142,3 @@ def test_no_part_begins_after_a_fault(monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         side_by_side(part, range(100))
     assert len(begun) <= 3
-
-
-def test_compiled_loops_add_in_the_order_that_is_written():
-    # With ``fastmath`` sums come in another order where a called loop was compiled in the same process than where it
-    # came from the cache, and poses differ in their last bits from one process to the next.
-    sources = [path.read_text() for path in Path(magmatch.__file__).parent.rglob("*.py")]
-    decorators = [line for text in sources for line in re.findall(r"\bnjit\(.*\)", text)]
-    # All loops are compiled by the few ways that `compiled` names.
-    assert len(decorators) == 2
-    assert not [line for line in decorators if "fastmath" in line]

@@ -78,6 +78,7 @@ def test_odometry_then_prepare_makes_a_survey(export, tmp_path, run):
     assert len(read_survey(tmp_path / "walk.csv")) > 1000
 
 
+@pytest.mark.slow
 def test_slam_takes_a_raw_log_as_with_poses_by_odometry(export, tmp_path, run):
     pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     raw = run("slam", export, "--out", tmp_path / "raw")

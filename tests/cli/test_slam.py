@@ -138,6 +138,7 @@ def test_without_the_package_that_draws_all_but_the_report_is_written(run, place
     assert {"base.csv", "graph.g2o", "result.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
+@pytest.mark.slow
 def test_merge_in_other_processes_writes_the_same_closures(run, place, tmp_path):
     words = ["merge", place / "base.csv", place / "target.csv", "--json"]
     alone, both = (run(*words, "--out", tmp_path / out, *more) for out, *more in (["one"], ["two", "--jobs", "2"]))

@@ -54,7 +54,7 @@ def test_features_along_a_path_move_with_the_path(make_map):
     assert_carried(extract_features(make_map(4, T_new_world.inv(), x=x), CONFIG), features, T_new_world)
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
 def test_descriptors_of_two_surveys_of_one_room_look_alike(make_map, seed):
     config = FeatureConfig(spacing=0.1)
     one, other = make_map(seed), make_map(seed, sample_seed=99)

@@ -170,12 +170,17 @@ def changed(settings: dict[str, Any], name: str, value: Any) -> RegistrationConf
     return RegistrationConfig.model_validate(document)
 
 
-SETTINGS = [
-    pytest.param(*leaf, id=leaf[0]) for leaf in leaves(RegistrationConfig()) if not leaf[0].startswith(ELSEWHERE)
-]
+def asked() -> Iterator[Any]:
+    """Give each setting; all but the first of each group take their time."""
+    groups = set()
+    for name, default in leaves(RegistrationConfig()):
+        if not name.startswith(ELSEWHERE):
+            group = name.rsplit(".", 1)[0]
+            yield pytest.param(name, default, id=name, marks=[pytest.mark.slow] * (group in groups))
+            groups.add(group)
 
 
-@pytest.mark.parametrize(("name", "default"), SETTINGS)
+@pytest.mark.parametrize(("name", "default"), list(asked()))
 def test_a_setting_changes_an_answer_or_raises(name, default):
     group = "walks.search" if name.startswith("walks.search") else name.split(".")[0]
     for case in SHOWS.get(name) or SHOWS[name.split(".")[0]]:

@@ -177,7 +177,7 @@ def test_without_a_pose_nothing_is_settled_and_the_answer_is_a_result():
         assert (result.status, result.T_base_target, strategy.asked) == (Status.UNINFORMATIVE, None, [])
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_duplicated_sample_adds_next_to_nothing(seed):
     """Every sample twice, of either side or of both: not twice the evidence, but a twentieth more at most.
 

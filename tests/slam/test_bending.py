@@ -67,7 +67,7 @@ def test_the_spread_of_the_end_is_that_of_many_walks():
     loads = bend(PATH, 0, CONFIG, upright=True, planar=True)[-1]
     rng = np.random.default_rng(0)
     ends = []
-    for _ in range(4000):
+    for _ in range(2000):
         turns = rng.normal(size=(len(STEPS), 1)) * [0, 0, 1] * CONFIG.rotation_sd * np.sqrt(LENGTHS)[:, None]
         turns = turns + rng.normal() * CONFIG.turn_rate_sd * LENGTHS[:, None] * [0, 0, 1]
         shifts = rng.normal(size=(len(STEPS), 3)) * [1, 1, 0] * CONFIG.translation_sd * np.sqrt(LENGTHS)[:, None]
@@ -75,7 +75,7 @@ def test_the_spread_of_the_end_is_that_of_many_walks():
         ends.append(np.concatenate([turn[-1], shift[-1]]))
     sampled, stated = np.cov(np.array(ends).T), loads @ loads.T
     scale = np.sqrt(np.maximum(np.diagonal(stated), 1e-12))
-    # Four thousand walks give a covariance to some percent, and turns of a tenth of a radian are not quite linear.
+    # Two thousand walks give a covariance to some percent, and turns of a tenth of a radian are not quite linear.
     np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.12)
 
 

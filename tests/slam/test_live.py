@@ -49,6 +49,7 @@ def test_poses_are_corrected_as_closures_come(walked):
     assert far < 0.5 * before
 
 
+@pytest.mark.slow
 def test_samples_that_lie_close_do_not_make_the_field_look_short():
     # 2 cm apart: a first metre is one slope, of which a length of two samples was learned, and nothing closed.
     angle = np.linspace(0, 4.4 * np.pi, 2300)
@@ -65,6 +66,7 @@ def test_samples_that_lie_close_do_not_make_the_field_look_short():
     assert 0.7 < length / session.paths[0].windows[0].length < 1.4
 
 
+@pytest.mark.slow
 def test_noise_is_not_taken_for_a_field_that_changes_fast():
     # 1 cm apart, 1 uT of noise: of 3 m a length of 4 cm was learned, and kept.
     angle = 0.01 * np.arange(4600) / 3.3
@@ -179,6 +181,7 @@ def test_a_robot_that_stands_stays_where_it_is():
         session.result()
 
 
+@pytest.mark.slow
 def test_who_stood_for_long_is_searched_soon_after():
     log, _ = drifting_walk(Place(1), 1, laps=2.6)
     rng, n = np.random.default_rng(0), 1500

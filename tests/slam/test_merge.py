@@ -92,7 +92,7 @@ def test_a_covariance_about_a_point_is_that_of_the_point():
     rng = np.random.default_rng(1)
     L = np.tril(rng.normal(size=(6, 6))) * np.array([1e-3] * 3 + [0.01] * 3)[:, None]
     point, T = np.array([20.0, -10.0, 3.0]), random_transform(rng)
-    xi = (L @ rng.normal(size=(6, 4000))).T
+    xi = (L @ rng.normal(size=(6, 2000))).T
     at = RigidTransform.from_translation(point)
     # The same poses, said of a frame that has its origin at the point.
     about = np.array([log_se3((T * at).inv() * (T * exp_se3(x) * at)) for x in xi])
@@ -105,7 +105,7 @@ def test_what_right_registrations_leave_against_the_others_is_chi_square_of_six(
     """Each pair against what the other nine predict, of errors drawn from what is stated."""
     T, C = [random_transform(np.random.default_rng(k)) for k in range(5)], np.diag([1e-3] * 3 + [5e-3] * 3) ** 2
     found = []
-    for seed in range(20):
+    for seed in range(8):
         rng, graph = np.random.default_rng(seed), merging._unconnected(np.zeros((5, 3)))
         graph.closures = [
             Closure(a, b, T[a].inv() * T[b] * exp_se3(np.sqrt(np.diag(C)) * rng.normal(size=6)), C, 12.0)
@@ -144,11 +144,6 @@ def test_a_registration_that_the_others_contradict_is_voted_out():
         assert np.abs(error).max() < 0.02
 
 
-def test_the_same_surveys_give_the_same_bits(surveys, session):
-    again = merge(surveys)
-    np.testing.assert_array_equal(again.graph.p, session.graph.p)
-
-
 @pytest.mark.parametrize(
     ("given", "error", "words"),
     [
@@ -182,6 +177,7 @@ def test_other_processes_give_the_same_bits(session, surveys):
     assert [c.log_odds for c in again.graph.closures] == [c.log_odds for c in session.graph.closures]
 
 
+@pytest.mark.slow
 def test_an_interrupted_merge_goes_on_where_it_stopped(session, surveys, tmp_path, monkeypatch):
     made = []
     register_one = merging.register

@@ -104,6 +104,7 @@ def test_means_along_the_path_are_near_it_and_fewer(many_laps):
     assert set(known.node.tolist()) == set(path.nodes.tolist())
 
 
+@pytest.mark.slow
 def test_an_interrupted_last_look_ends_as_if_it_was_not(many_laps, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)
     slam(many_laps.log, keep=tmp_path / "all")
@@ -142,6 +143,7 @@ def test_a_short_log_that_passes_nothing_twice_has_no_submap(many_laps):
     assert not session.graph.submap_factors
 
 
+@pytest.mark.slow
 def test_fixed_points_at_another_height_leave_factors_as_they_are(many_laps):
     log, path = many_laps.log, many_laps.session.paths[0]
     rows = path.middles[[0, 3, 6, 9]]

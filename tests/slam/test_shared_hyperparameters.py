@@ -4,6 +4,7 @@
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 import magmatch as mm
 from drifting import Place, submap_at
@@ -33,6 +34,7 @@ def log_ratios(walk: mm.Survey, field: Callable[[np.ndarray], np.ndarray], besid
     return found
 
 
+@pytest.mark.slow
 def test_a_base_states_how_little_it_knows_beside_its_line():
     config, ratios = SimulationConfig(pose_drift=0.0), []
     for seed in (21, 22, 23):
@@ -65,6 +67,7 @@ def test_a_walk_that_stands_still_has_numbers():
     places.maker.hyperparameters.check()
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
     rng = np.random.default_rng(0)
     path = np.linspace([-4.0, 0, 0], [4.0, 0, 0], 800)

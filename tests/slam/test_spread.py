@@ -32,6 +32,7 @@ def test_what_is_sent_away_and_comes_back_gives_the_same_session(three):
     assert_same(slam(three.logs, run=elsewhere), three.session)
 
 
+@pytest.mark.slow
 def test_worker_processes_give_the_same_session(lone):
     pytest.importorskip("distributed")
     with DaskRunner(jobs=2, ahead=2) as run:
@@ -55,7 +56,7 @@ def test_what_was_kept_needs_no_submap(lone, tmp_path, monkeypatch):
     assert_same(slam(lone.log, keep=tmp_path / "kept"), lone.session)
 
 
-@pytest.mark.parametrize("run", [None, elsewhere])
+@pytest.mark.parametrize("run", [None, pytest.param(elsewhere, marks=pytest.mark.slow)])
 def test_a_search_that_was_interrupted_ends_as_if_it_was_not(lone, tmp_path, monkeypatch, run):
     """In the middle of the windows that are looked for together, before and after the noise was learned."""
     monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)

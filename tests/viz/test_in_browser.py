@@ -131,6 +131,7 @@ def test_every_part_has_a_name_and_levels_of_headings_are_not_skipped(shown):
     assert shown.evaluate(broken) == 0
 
 
+@pytest.mark.slow
 def test_a_phone_shows_it_without_scrolling_sideways(browser, report):
     browser.open(report, width=390, height=844)
     browser.wait_for("document.body.dataset.drawn")
@@ -148,7 +149,7 @@ def others(pair, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["refused", "map"])
+@pytest.mark.parametrize("name", ["refused", pytest.param("map", marks=pytest.mark.slow)])
 def test_other_pages_are_drawn_on_a_phone_too(browser, others, name):
     browser.open(others / f"{name}.html", width=390, height=844)
     browser.wait_for("document.body.dataset.drawn")

@@ -14,7 +14,7 @@ from magmatch_serve.service import Service
 from serving import serving, wait_until
 
 distributed = pytest.importorskip("distributed")
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
+pytestmark = pytest.mark.filterwarnings("ignore")
 WORK = {"n_workers": 1, "threads_per_worker": 2, "dashboard_address": None, "silence_logs": 50}
 
 
@@ -29,6 +29,7 @@ def asked(service, body):
     return status, headers, json.loads(said)
 
 
+@pytest.mark.slow
 def test_logs_are_worked_on_by_a_cluster_that_holds_the_maps_and_may_die(hall, tmp_path):
     log = hall.walk(2)[0]
     log.save(tmp_path / "log.csv")

@@ -25,8 +25,6 @@ from magmatch.registration.index.map_index import index_path
 from magmatch_serve.bodies import checkpoints
 from serving import client, samples, serving, wait_until
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def other(tmp_path_factory):
@@ -59,6 +57,7 @@ def last_answer(service, log, n=None, key=None):
     return said
 
 
+@pytest.mark.slow
 def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
     folder = tmp_path / "maps"
     folder.mkdir()
@@ -89,6 +88,7 @@ def test_a_folder_is_served_as_one_and_grows_while_it_is(hall, other, tmp_path):
         assert (status, json.loads(said)["map"]) == (200, "other.map")
 
 
+@pytest.mark.slow
 def test_an_emptied_folder_is_served_on_and_says_so(hall, other, tmp_path):
     folder, gone = tmp_path / "maps", tmp_path / "gone"
     folder.mkdir()
@@ -211,6 +211,7 @@ def test_foxglove_tells_clients_of_one_name_apart():
     assert [f"replay {client}" in repr(seen[0]) for client in ("0a", "1b")] == [True, True]
 
 
+@pytest.mark.slow
 def test_foxglove_is_told_of_bodies(hall, one_tracker, tmp_path):
     pytest.importorskip("foxglove")
     import socket
@@ -236,6 +237,7 @@ def test_foxglove_is_told_of_bodies(hall, one_tracker, tmp_path):
                 seen += message if isinstance(message, bytes) else b""
 
 
+@pytest.mark.slow
 def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall, one_tracker, tmp_path):
     body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
     with serving(hall.map, "--states", states, "--config", one_tracker) as service:
@@ -256,6 +258,7 @@ def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall,
         assert not list(states.glob("log-*"))
 
 
+@pytest.mark.slow
 def test_a_log_that_is_worked_on_when_the_service_ends_is_to_be_sent_again(hall, one_tracker, tmp_path):
     body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
     with serving(hall.map, "--states", states, "--config", one_tracker) as service:

@@ -10,7 +10,7 @@ from magmatch_serve.replay import replay
 from serving import client, samples, wait_until
 
 PATH = find_browser()
-pytestmark = [pytest.mark.skipif(PATH is None, reason="no Chromium installed"), pytest.mark.slow]
+pytestmark = pytest.mark.skipif(PATH is None, reason="no Chromium installed")
 
 STATUSES = "[...document.querySelectorAll('#bodies li span')].map(n => n.textContent)"
 TOO_WIDE = "document.documentElement.scrollWidth - window.innerWidth"
@@ -36,7 +36,9 @@ def walking(door, hall):
     sender.join()
 
 
-@pytest.mark.parametrize(("width", "height", "theme"), [(1280, 900, "light"), (390, 844, "dark")])
+@pytest.mark.parametrize(
+    ("width", "height", "theme"), [(1280, 900, "light"), pytest.param(390, 844, "dark", marks=pytest.mark.slow)]
+)
 def test_a_walk_is_watched_from_search_to_pose(door, browser, walking, width, height, theme):
     browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
     browser.open(door.url, width, height)
@@ -49,6 +51,7 @@ def test_a_walk_is_watched_from_search_to_pose(door, browser, walking, width, he
     assert paper == ("rgb(255, 255, 255)" if theme == "light" else "rgb(20, 24, 29)")
 
 
+@pytest.mark.slow
 def test_bodies_are_told_before_the_map_comes_and_it_comes_once_it_can(door, browser, walking):
     browser.call("Network.setBlockedURLs", urls=["*/maps/hall.map"])
     browser.open(door.url)
@@ -59,6 +62,7 @@ def test_bodies_are_told_before_the_map_comes_and_it_comes_once_it_can(door, bro
     browser.wait_for(f"{COLOURS} > 50")
 
 
+@pytest.mark.slow
 def test_a_window_without_room_for_the_map_is_no_error(door, browser, walking):
     browser.open(door.url)
     browser.wait_for(f"{STATUSES}.some(s => s.startsWith('localized'))")

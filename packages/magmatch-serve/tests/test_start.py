@@ -11,8 +11,6 @@ import pytest
 from magmatch_serve.bodies import checkpoints
 from serving import serving
 
-pytestmark = pytest.mark.slow
-
 
 def start(place, *options):
     words = [sys.executable, "-m", "magmatch", "serve", str(place), "--port", "0", *map(str, options)]
@@ -54,6 +52,7 @@ def test_what_keeps_it_from_starting_is_one_line(fault, tmp_path):
     assert place.name == "hall.map" or not [*tmp_path.rglob("*.clients"), *tmp_path.rglob(".clients")]
 
 
+@pytest.mark.slow
 def test_a_service_that_is_stopped_leaves_without_a_word(hall, tmp_path):
     with serving(hall.map, "--states", tmp_path / "states") as service:
         assert service.ask("/localize", b"no log")[0] == 422  # a process works on logs now

@@ -13,7 +13,7 @@ GROUP = "magmatch.commands"
 ELSEWHERE = {
     "serve": "./packages/magmatch-serve",
     "replay": "./packages/magmatch-serve",
-    "evaluate": "./evaluation",
+    "evaluate": "./packages/magmatch-evaluation",
 }
 # A command that is missing takes whatever words it is given, and says what is missing.
 WHATEVER = {"allow_extra_args": True, "ignore_unknown_options": True}

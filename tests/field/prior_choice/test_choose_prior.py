@@ -2,6 +2,7 @@
 """Claims about ``prior="auto"``."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
@@ -97,6 +98,7 @@ def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
     assert choice.lead(few, PriorCandidate("spline", H, np.zeros(5))) == np.inf
 
 
+@pytest.mark.slow
 def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monkeypatch):
     t, (points, _) = np.linspace(0, 1, 2400)[:, None], room(inside=True, n=4)
     points = BOX * (0.5 + 0.45 * np.sin(2 * np.pi * t * [3.0, 17.0, 1.0]))

@@ -104,6 +104,7 @@ def test_missing_extra_is_named(monkeypatch):
         DaskRunner()
 
 
+@pytest.mark.slow
 def test_task_that_kills_every_worker_is_given_up(workers, tasks):  # last: workers are still coming back after it
     with pytest.raises(TaskError, match=r"^tile 2\.-?\d\.-?\d took down several workers one after the other"):
         list(workers(dies, tasks))

@@ -181,6 +181,7 @@ def test_samples_left_out_are_as_if_never_seen_in_any_order(fitted, seed):
     assert np.abs(model.infer(rest).evaluate(x).field - expected).max() < 1e-8 * np.abs(b).max()
 
 
+@pytest.mark.slow
 def test_draws_have_the_posterior_covariance_and_agree_between_tiles(fitted):
     posterior, q = fitted[1], inside(12)
     draws = np.array(

@@ -39,7 +39,14 @@ def copy_map(source, goal):
     shutil.copy(index_path(source), index_path(goal))
 
 
-@pytest.mark.parametrize("name", ["attic.map", "cellar.map", "hall.map"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("attic.map", marks=pytest.mark.slow),
+        pytest.param("cellar.map", marks=pytest.mark.slow),
+        "hall.map",
+    ],
+)
 def test_a_walk_is_found_in_its_own_room(atlas, walk_in, name):
     rng = np.random.default_rng(1)
     T = random_transform(rng)
@@ -60,6 +67,7 @@ def test_a_survey_of_a_room_is_found_in_its_own_map(atlas, rooms):
     assert np.degrees(angle) < 1
 
 
+@pytest.mark.slow
 def test_where_only_the_likeliest_map_is_asked_for_poses_it_is_the_right_one(
     atlas, rooms, found_in_hall, monkeypatch
 ):
@@ -94,10 +102,8 @@ def test_two_maps_of_one_room_are_ambiguous_and_both_are_named(atlas, walk_in, t
     assert {"one.map", "two.map"} <= set(named)
 
 
-def test_the_same_seed_gives_the_same_answer_and_a_kept_index_that_of_a_fresh_one(rooms, found_in_hall):
-    target, one = found_in_hall
-    other = register(open_atlas(rooms[0]), target)
-    np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
+def test_a_kept_index_gives_the_answer_of_a_fresh_one(atlas, rooms, found_in_hall):
+    target = found_in_hall[0]
     path = rooms[0] / "hall.map"
     kept = open_index(MapFile.of(path), PRESETS["default"]).load(rooms[1]["hall.map"][2])
     fresh = register(rooms[1]["hall.map"][2], target)
@@ -106,17 +112,23 @@ def test_the_same_seed_gives_the_same_answer_and_a_kept_index_that_of_a_fresh_on
 
 def test_the_main_verb_takes_a_folder_of_maps(atlas, rooms, found_in_hall):
     target, expected = found_in_hall
-    for base in (rooms[0], str(rooms[0]), atlas):
-        result = mm.register(base, target)
-        assert result.base == "hall.map"
-        np.testing.assert_array_equal(result.T_base_target.as_matrix(), expected.T_base_target.as_matrix())
+    result = mm.register(str(rooms[0]), target)
+    assert result.base == "hall.map"
+    np.testing.assert_array_equal(result.T_base_target.as_matrix(), expected.T_base_target.as_matrix())
     with pytest.raises(ConfigurationError, match="open_atlas"):
         mm.register(atlas, target, PRESETS["paper"])
     with pytest.raises(TypeError, match="open_atlas"):
         mm.register(rooms[0] / "none", target)
 
 
-@pytest.mark.parametrize("kind", ["a walk", "a survey", "a walk elsewhere"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("a walk", marks=pytest.mark.slow),
+        "a survey",
+        pytest.param("a walk elsewhere", marks=pytest.mark.slow),
+    ],
+)
 def test_a_folder_that_holds_one_map_answers_as_that_map_does(atlas, rooms, walk_in, tmp_path, kind):
     copy_map(atlas.folder / "hall.map", tmp_path / "hall.map")
     field_map = mm.FieldMap.load(tmp_path / "hall.map")
@@ -195,6 +207,7 @@ def test_a_folder_without_maps_is_no_atlas(tmp_path):
         open_atlas(file)
 
 
+@pytest.mark.slow
 def test_a_raw_log_is_found_once_its_sensor_is_calibrated(tmp_path):
     pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
     config = SimulationConfig(n_samples=1000, room_size=(2.0, 2.0, 0.6))

@@ -29,16 +29,14 @@ def test_no_mode_moves_the_path_as_a_rigid_body_does(path):
 def test_modes_and_frame_have_the_covariances_of_what_two_random_walks_do(path):
     rng, x, n = np.random.default_rng(0), path, len(path)
     steps, middles = np.linalg.norm(np.diff(x, axis=0), axis=1), (x[1:] + x[:-1]) / 2
-    rigid, drawn = rigid_motions(x), []
-    for _ in range(4000):
-        turns = TURN_PER_SHIFT * rng.standard_normal((n - 1, 3)) * np.sqrt(steps)[:, None]
-        shifts = rng.standard_normal((n - 1, 3)) * np.sqrt(steps)[:, None]
-        moved = np.zeros((n, 6))
-        for k in range(n - 1):
-            moved[k + 1 :, :3] += turns[k]
-            moved[k + 1 :, 3:] += shifts[k] + np.cross(turns[k], x[k + 1 :] - middles[k])
-        drawn.append((moved - moved.mean(axis=0)).ravel())
-    drifts, bending = np.sqrt(2) * np.array(drawn).T, bending_of(x)
+    turns, shifts = np.sqrt(steps)[:, None] * rng.standard_normal((2, 4000, n - 1, 3))
+    turns *= TURN_PER_SHIFT
+    # Each turn is about the middle of its step.
+    moved = np.zeros((4000, n, 6))
+    moved[:, 1:, :3] = np.cumsum(turns, axis=1)
+    moved[:, 1:, 3:] = np.cumsum(shifts - np.cross(turns, middles), axis=1) + np.cross(moved[:, 1:, :3], x[1:])
+    moved -= moved.mean(axis=1, keepdims=True)
+    rigid, drifts, bending = rigid_motions(x), np.sqrt(2) * moved.reshape(4000, -1).T, bending_of(x)
     followed = np.linalg.lstsq(rigid, drifts, rcond=None)[0]
     # Drift is about its mean, so the frame turns alone.
     np.testing.assert_allclose(bending.frame[3:], 0, rtol=0, atol=1e-9)

@@ -77,6 +77,7 @@ def test_odometry_that_is_stated_to_be_twice_as_good_is_so_in_its_lasting_turn_t
     np.testing.assert_allclose(D[2:5, 2:5], C[2:5, 2:5] / 4, rtol=1e-3, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_jump_is_undone_by_what_is_passed_again():
     log, truth = drifting_walk(Place(1), 1, laps=3.0)
     jumped = replace(log, positions=log.positions + 3.0 * (np.arange(len(log)) >= 300)[:, None] * [1.0, 0.5, 0.0])

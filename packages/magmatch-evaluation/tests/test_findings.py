@@ -6,8 +6,8 @@ import re
 from dataclasses import replace
 
 import pytest
-import toy
 
+import toy
 from magmatch_evaluation.experiments import EXPERIMENTS, QUICK, Tolerance
 from magmatch_evaluation.findings import (
     Findings,

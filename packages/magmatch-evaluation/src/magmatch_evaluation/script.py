@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 UT = 1e-6
 # What rows may depend on.
-CODE = ("src", "evaluation", "benchmarks/*.py")
+CODE = ("src", "packages/magmatch-evaluation/src", "benchmarks/*.py")
 # Folder of public recordings beside the checkout; None, the cache, where there is none.
 RECORDINGS = next(filter(Path.is_dir, [Path("../shared/data")]), None)
 

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import toy
 
+import toy
 from magmatch.errors import ConfigurationError
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.benchmark import evaluate
@@ -25,6 +25,7 @@ def without_costs(rows):
     return [replace(row, seconds=0.0, peak_bytes=0) for row in rows]
 
 
+@pytest.mark.slow
 def test_run_killed_again_and_again_repeats_nothing_and_gives_the_same_table(tmp_path):
     words = [sys.executable, toy.__file__, str(tmp_path)]
     n_killed = 0
@@ -97,6 +98,7 @@ def test_rough_start_is_as_rough_as_stated(tmp_path):
     assert [row.angle for row in rows] == pytest.approx([0.17453292519943295] * len(rows))
 
 
+@pytest.mark.slow
 def test_workers_give_the_same_rows(tmp_path):
     pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
     make = Simulated("uniform", SimulationConfig(n_samples=40))

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Renew the published tables, one script after the other: at most four hours on two cores.
+
+    python benchmarks/renew_results.py [--dry-run] [--jobs 2] [--data DIR] [--out results-output] [--only NAME ...]
+
+A script is not run where its tables are of the code as it is. What was interrupted goes on where it stood: scripts
+keep their rows in the folder DIR of ``--out``, one for each commit. Recordings lie in ``--data``; where they do not,
+scripts that need them are named and left out. The covered code must be committed.
+"""
+
+import os
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from write_results import MARK, PAGES, History
+
+from magmatch_evaluation.saved_table import FOLDER, ResultTable
+from magmatch_evaluation.script import RECORDINGS, arguments
+
+
+@dataclass(frozen=True)
+class Run:
+    """A command that fills tables."""
+
+    tables: tuple[str, ...]
+    # {jobs}, {data} (recordings) and {out} (a folder of the run's own) are filled in; options that save are added.
+    words: str
+    minutes: float  # on two idle cores, estimated from seconds that the tables state
+    saves: str = "--save {0}"  # the tables by their place
+
+    @property
+    def needs_data(self) -> bool:
+        """Whether public recordings are read."""
+        return "{data}" in self.words
+
+    def command(self, jobs: int, data: Path | None, out: Path) -> list[str]:
+        """Fill in the words."""
+        own = out / self.tables[0]
+        words = f"{self.words} {self.saves.format(*self.tables)}"
+        places = {"jobs": jobs, "data": shlex.quote(str(data)), "out": shlex.quote(str(own))}
+        program, *rest = shlex.split(words.format(**places))
+        if program == "evaluate":
+            return [sys.executable, "-m", "magmatch", program, *rest]
+        return [sys.executable, f"benchmarks/{program}", *rest]
+
+
+RUNS = (
+    Run(("headline",), "headline.py --jobs {jobs} --out {out}", 2),
+    Run(
+        ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
+        "evaluate published mapping --seeds 20 --jobs {jobs} --from {data} --out {out}",
+        95,
+        "--save",
+    ),
+    Run(
+        ("many-rooms", "different-places"),
+        "experiments/many_rooms.py --first 700000 --rooms 100 --pairs 2000 --jobs {jobs} --out {out}",
+        30,
+        "--save {0} --save-pairs {1}",
+    ),
+    Run(("short-walks",), "experiments/short_walks.py --tries 200 --seed 7171 --from {data}", 8),
+    Run(
+        ("drifting-corridors",),
+        "experiments/drifting_corridors.py --seeds 20 --first 35200000 --drifts 0 0.01 0.02 0.05 0.1",
+        20,
+    ),
+    Run(("newcomers",), "experiments/newcomers.py --minutes 30 --jobs {jobs} --data {data} --out {out}", 31),
+    Run(
+        ("slam-scenarios",),
+        "experiments/slam_scenarios.py --first 700 --seeds 2 --minutes 30 --jobs {jobs} --out {out}",
+        31,
+    ),
+    Run(
+        ("localize-others",),
+        "experiments/localize_evidence.py --table others --minutes 15 --jobs {jobs} --data {data} --out {out}",
+        16,
+    ),
+)
+# Written by hand, from what these print.
+BY_HAND = {
+    "many-buildings": "python benchmarks/experiments/many_buildings.py FOLDER --tries 100 --simulated 60 --seed 1003",
+    "fuzzing": "make fuzz",
+    "hardening": "make harden",
+}
+
+
+def shown(root: Path) -> list[str]:
+    """Tables that a page shows, in the order of the pages."""
+    found = (mark.group(3) for page in PAGES for mark in MARK.finditer((root / page).read_text(encoding="utf-8")))
+    return list(dict.fromkeys(found))
+
+
+def is_of_today(run: Run, history: History) -> bool:
+    """Whether none of its tables is older than the code."""
+    tables = (ResultTable.load(history.root / FOLDER / f"{name}.json") for name in run.tables)
+    return not any(map(history.is_older, tables))
+
+
+def to_do(runs: Sequence[Run], history: History, data: Path | None) -> list[Run]:
+    """Runs that are to be made, with a line about each."""
+    wanted = []
+    for run in runs:
+        state = f"about {run.minutes:.0f} min"
+        if is_of_today(run, history):
+            state = "of today's code"
+        elif run.needs_data and data is None:
+            state = "left out: no recordings here, say --data DIR"
+        else:
+            wanted.append(run)
+        print(f"{', '.join(run.tables)}: {state}")
+    return wanted
+
+
+def main() -> int:
+    asked = arguments(
+        __doc__, dry_run=False, jobs=os.cpu_count() or 1, data=Path, out=Path("results-output"), only=[]
+    )
+    root = Path(__file__).parents[1]
+    history, data = History(root), asked.data or RECORDINGS
+    some = [run for run in RUNS if not asked.only or set(asked.only) & set(run.tables)]
+    wanted = to_do(some, history, data)
+    print("\n".join(f"{name}: by hand, from {command}" for name, command in BY_HAND.items() if name in shown(root)))
+    print(f"{sum(run.minutes for run in wanted):.0f} min in all", flush=True)
+    commit = history.git("rev-parse", "--short", "HEAD").stdout.strip()
+    failed = []
+    for run in [] if asked.dry_run else wanted:
+        words = run.command(asked.jobs, data, asked.out.absolute() / commit)
+        print(f"\n{shlex.join(words)}", flush=True)
+        (asked.out / commit).mkdir(parents=True, exist_ok=True)
+        done = subprocess.run(words, check=False, cwd=root, env=os.environ | {"OPENBLAS_NUM_THREADS": "1"})
+        failed += run.tables if done.returncode else ()
+    if failed:
+        print(f"renew_results: not renewed: {', '.join(failed)}; run again to go on", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
