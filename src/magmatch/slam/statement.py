@@ -56,7 +56,13 @@ def state_anchors(
     residuals = zip(anchors, graph.off_fixed(), *graph.off_fixed_without(), strict=True)
     return tuple(
         AnchorResult(
-            names[of], a.t, a.position.tolist(), a.sd, off.tolist(), without.tolist(), float(np.sqrt(np.trace(C) / 3))
+            names[of],
+            a.t,
+            a.position.tolist(),
+            graph.config.waypoint_sd if a.is_marked else a.sd,
+            off.tolist(),
+            without.tolist(),
+            float(np.sqrt(np.trace(C) / 3)),
         )
         for (a, of), off, without, C in residuals
     )

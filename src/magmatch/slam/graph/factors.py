@@ -56,6 +56,7 @@ class FixedPoints:
     x: Points  # (a, 3), m: odometry's frame
     position: Points  # (a, 3), m: where it is in the surveyor's frame, and how well that is known per axis
     sd: Scalars  # (a,), m
+    is_marked: Mask  # (a,): whether a walker marked it, so that all of these show how well walkers do
 
     def only(self, rows: Indices) -> "FixedPoints":
         """Select some fixed points."""

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The drift of odometry is learned from the likelihood of closures, with the stated drift as prior."""
+"""The drift of odometry is learned from the likelihood of closures, with the stated drift as prior.
+
+So is how well walkers marked points. Marks alone do not show it: one that is mistaken shifts those after it, which
+looks like drift until closures contradict.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,7 +31,7 @@ def teaches_drift(graph: PoseGraph) -> bool:
 
 
 def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
-    """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
+    """Settings with the most likely standard deviations of position, heading and marks, a factor each for all logs.
 
     The heading's factor is that of its lasting turn rate too: revisits early in a walk show little of the latter, and
     what they leave open would turn all that follows.
@@ -38,15 +42,19 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     # Covariances are sums of a part of each.
     of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
     of_neither = SURE**2 * np.eye(6)
-    trial = graph.copied()
+    trial, fixed = graph.copied(), graph.fixed
+    n = 3 if fixed is not None and fixed.is_marked.any() else 2
 
     def cost(logs: Scalars) -> float:
-        a, b = np.exp(2 * logs)
+        a, b = np.exp(2 * logs[:2])
         Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
         trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
+        if fixed is not None:
+            sd = np.where(fixed.is_marked, fixed.sd / graph.config.waypoint_sd * trial.config.waypoint_sd, fixed.sd)
+            trial.fixed = replace(fixed, sd=sd)
         return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
 
-    simplex = STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
+    simplex = -STATED_SPREAD * np.eye(n + 1, n, -1)
     near = SAME_FACTOR * STATED_SPREAD
     found = fmin(cost, simplex[0], xtol=near, ftol=near, initial_simplex=simplex, disp=False)
     return _with_factors(stated, np.exp(found))
@@ -57,9 +65,11 @@ def log_evidence(graph: PoseGraph) -> float:
     H, v, chi2 = normal_equations(graph)
     factor = graph.factor(H)
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
+    # The plan holds no heights.
+    log_det_marks = 4 * float(np.log(graph.fixed.sd[graph.fixed.is_marked]).sum()) if graph.fixed is not None else 0.0
     log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
     explained = float((v * factor.solve(v[None])[0]).sum())
-    return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_lasting)
+    return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_marks + log_det_lasting)
 
 
 def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
@@ -67,6 +77,8 @@ def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
         return float(factors[0] * sd[0]), float(factors[1] * sd[1])
 
     odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd)})
+    marks = {"waypoint_sd": float(factors[2]) * config.waypoint_sd} if len(factors) > 2 else {}
     return config.model_copy(
-        update={"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
+        update=marks
+        | {"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
     )
