@@ -53,8 +53,8 @@ class SlamConfig(Settings):
     # Whether z is up in the odometry's frames, and whether all poses lie at one height too.
     is_gravity_aligned: bool = True
     is_planar: bool = False
-    # Standard deviation per axis of points that walkers marked, m, until closures show how well. A button is pressed
-    # within some tenths of a second, but a walker who takes one shop front for the next marks wrongly from there on.
+    # Standard deviation per axis of points that walkers marked, m, until closures show it: of each, and once more
+    # of all of a log together. A walker who takes one shop front for the next marks wrongly from there on.
     waypoint_sd: float = Field(default=1.0, gt=0)
     # Latitude and longitude (deg) at which x and y are 0, for fixed points in degrees. By default, the first of them.
     origin: tuple[Latitude, Longitude] | None = None

@@ -72,7 +72,7 @@ def state_odometry(
     graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], logs: Sequence[Survey], names: Sequence[str]
 ) -> Odometry:
     """The drift of the odometry, and each log's constant errors."""
-    each = zip(names, graph.lasting.tolist(), biases, map(_state_recalibrations, logs), strict=True)
+    each = zip(names, graph.lasting[:, :2].tolist(), biases, map(_state_recalibrations, logs), strict=True)
     return Odometry(
         sd=graph.config.odometry.sd,
         logs={

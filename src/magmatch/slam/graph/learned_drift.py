@@ -65,8 +65,10 @@ def log_evidence(graph: PoseGraph) -> float:
     H, v, chi2 = normal_equations(graph)
     factor = graph.factor(H)
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
-    # The plan holds no heights.
-    log_det_marks = 4 * float(np.log(graph.fixed.sd[graph.fixed.is_marked]).sum()) if graph.fixed is not None else 0.0
+    log_det_marks = 4 * len(graph.lasting) * float(np.log(graph.config.waypoint_sd))
+    if graph.fixed is not None:
+        # The plan holds no heights.
+        log_det_marks += 4 * float(np.log(graph.fixed.sd[graph.fixed.is_marked]).sum())
     log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
     explained = float((v * factor.solve(v[None])[0]).sum())
     return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_marks + log_det_lasting)
