@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The drift of odometry is learned from the likelihood of closures, with the stated drift as prior.
 
-So is how well walkers marked points. Marks alone do not show it: one that is mistaken shifts those after it, which
-looks like drift until closures contradict.
+So is, then, how well walkers marked points. Marks say nothing of drift: one that is mistaken shifts those after it,
+which looks like drift.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from magmatch.slam.graph.normal_equations import LEAST_LASTING, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.windows import Path
-from magmatch.typing import Scalars
+from magmatch.typing import Matrix, Scalars
 
 # Standard deviation of the stated drift's logarithm: it may be a guess.
 STATED_SPREAD = 1.0
@@ -31,7 +31,7 @@ def teaches_drift(graph: PoseGraph) -> bool:
 
 
 def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
-    """Settings with the most likely standard deviations of position, heading and marks, a factor each for all logs.
+    """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
 
     The heading's factor is that of its lasting turn rate too: revisits early in a walk show little of the latter, and
     what they leave open would turn all that follows.
@@ -42,22 +42,34 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     # Covariances are sums of a part of each.
     of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
     of_neither = SURE**2 * np.eye(6)
-    trial, fixed = graph.copied(), graph.fixed
-    n = 3 if fixed is not None and fixed.is_marked.any() else 2
+    trial = graph.copied()
+    trial.fixed = None if graph.fixed is None else graph.fixed.only(np.flatnonzero(~graph.fixed.is_marked))
 
     def cost(logs: Scalars) -> float:
-        a, b = np.exp(2 * logs[:2])
+        a, b = np.exp(2 * logs)
         Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
         trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
-        if fixed is not None:
-            sd = np.where(fixed.is_marked, fixed.sd / graph.config.waypoint_sd * trial.config.waypoint_sd, fixed.sd)
-            trial.fixed = replace(fixed, sd=sd)
         return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
 
-    simplex = -STATED_SPREAD * np.eye(n + 1, n, -1)
+    # The trial is left with what costs least.
+    cost(_least(cost, STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])))
+    if graph.fixed is None or not graph.fixed.is_marked.any():
+        return trial.config
+    config, fixed, sd = trial.config, graph.fixed, graph.config.waypoint_sd
+
+    def cost_of_marks(logs: Scalars) -> float:
+        trial.config = config.model_copy(update={"waypoint_sd": float(np.exp(logs[0])) * stated.waypoint_sd})
+        trial.fixed = replace(fixed, sd=fixed.sd * np.where(fixed.is_marked, trial.config.waypoint_sd / sd, 1.0))
+        return 0.5 * float(logs[0] ** 2) / STATED_SPREAD**2 - log_evidence(trial)
+
+    cost_of_marks(_least(cost_of_marks, STATED_SPREAD * np.array([[0.0], [1.0]])))
+    return trial.config
+
+
+def _least(cost: Callable[[Scalars], float], simplex: Matrix) -> Scalars:
+    """Logarithms of factors that cost least."""
     near = SAME_FACTOR * STATED_SPREAD
-    found = fmin(cost, simplex[0], xtol=near, ftol=near, initial_simplex=simplex, disp=False)
-    return _with_factors(stated, np.exp(found))
+    return np.asarray(fmin(cost, simplex[0], xtol=near, ftol=near, initial_simplex=simplex, disp=False))
 
 
 def log_evidence(graph: PoseGraph) -> float:
@@ -79,8 +91,6 @@ def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
         return float(factors[0] * sd[0]), float(factors[1] * sd[1])
 
     odometry = config.odometry.model_copy(update={"sd": scaled(config.odometry.sd)})
-    marks = {"waypoint_sd": float(factors[2]) * config.waypoint_sd} if len(factors) > 2 else {}
     return config.model_copy(
-        update=marks
-        | {"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
+        update={"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
     )
