@@ -98,6 +98,21 @@ def test_how_well_a_walker_marks_points_is_learned_from_closures_with_the_drift(
     np.testing.assert_allclose(np.log(found), np.log([*real, marked]), atol=np.log(1.5))
 
 
+@pytest.mark.parametrize("real", [0.1, 2.0])
+def test_without_closures_marks_are_weighed_by_odometry_that_drifts_as_stated(real):
+    config = SlamConfig(is_planar=True, odometry=OdometryConfig(sd=(0.2, 2.0)))
+    log, true, _ = laps((0.2, 2.0), 3)
+    (path,) = cut([log], 0.5, config)
+    graph, rng = odometry_graph([path], config), np.random.default_rng(4)
+    off = real * rng.normal(size=(len(log), 3)) * [1, 1, 0]
+    marks = [Anchor("laps", float(k), true[k] + off[k], 1.0, is_marked=True) for k in range(0, len(log), 50)]
+    graph.fixed = fixed_points([(mark, 0) for mark in marks], [path])
+    solve(graph)
+    learned = learned_drift(graph, [path], config)
+    assert learned.odometry == config.odometry
+    assert 0.5 < learned.waypoint_sd / real < 2
+
+
 def test_points_that_a_surveyor_states_keep_their_standard_deviation():
     config = SlamConfig(is_planar=True)
     log, true, turn = laps((0.2, 2.0), 3)

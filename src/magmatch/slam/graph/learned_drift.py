@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The drift of odometry is learned from the likelihood of closures, with the stated drift as prior.
 
-So is, then, how well walkers marked points. Marks say nothing of drift: one that is mistaken shifts those after it,
-which looks like drift.
+How well walkers marked points is learned from odometry, and from closures once there are any. Marks teach no drift:
+one that is mistaken shifts those after it, which looks like drift.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,15 +30,27 @@ def teaches_drift(graph: PoseGraph) -> bool:
     return len(graph.closures) >= PRIOR_STRETCHES
 
 
+def teaches_marks(graph: PoseGraph) -> bool:
+    """Whether as many marked points say more than where their logs lie, which takes two of each."""
+    if graph.fixed is None:
+        return False
+    of_log = np.bincount(graph.log[graph.fixed.one[graph.fixed.is_marked]])
+    return int(np.maximum(of_log - 2, 0).sum()) >= PRIOR_STRETCHES
+
+
 def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
+    """Settings with the most likely standard deviations of odometry, if closures teach them, and of marks."""
+    config = _likely_drift(graph, paths, stated) if teaches_drift(graph) else stated
+    return _likely_marks(graph, paths, config) if teaches_marks(graph) else config
+
+
+def _likely_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
     """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
 
     The heading's factor is that of its lasting turn rate too: revisits early in a walk show little of the latter, and
     what they leave open would turn all that follows.
     The closures' residuals are those of the graph as it stands; each counts by its weight.
     """
-    if not teaches_drift(graph):
-        return stated
     # Covariances are sums of a part of each.
     of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
     of_neither = SURE**2 * np.eye(6)
@@ -51,24 +63,30 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
         trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
         return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
 
-    # The trial is left with what costs least.
-    cost(_least(cost, STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])))
-    if graph.fixed is None or not graph.fixed.is_marked.any():
-        return trial.config
-    config, fixed, sd = trial.config, graph.fixed, graph.config.waypoint_sd
+    return _with_factors(stated, np.exp(_least(cost, np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]))))
 
-    def cost_of_marks(logs: Scalars) -> float:
-        trial.config = config.model_copy(update={"waypoint_sd": float(np.exp(logs[0])) * stated.waypoint_sd})
-        trial.fixed = replace(fixed, sd=fixed.sd * np.where(fixed.is_marked, trial.config.waypoint_sd / sd, 1.0))
+
+def _likely_marks(graph: PoseGraph, paths: Sequence[Path], config: SlamConfig) -> SlamConfig:
+    """Settings with the most likely standard deviation of marks, where odometry drifts as the settings say."""
+    trial, fixed = graph.copied(), graph.fixed
+    assert fixed is not None
+    trial.edges = odometry_graph(paths, config).edges
+
+    def with_factor(factor: float) -> SlamConfig:
+        return config.model_copy(update={"waypoint_sd": factor * config.waypoint_sd})
+
+    def cost(logs: Scalars) -> float:
+        trial.config = with_factor(float(np.exp(logs[0])))
+        factor = np.where(fixed.is_marked, trial.config.waypoint_sd / graph.config.waypoint_sd, 1.0)
+        trial.fixed = replace(fixed, sd=factor * fixed.sd)
         return 0.5 * float(logs[0] ** 2) / STATED_SPREAD**2 - log_evidence(trial)
 
-    cost_of_marks(_least(cost_of_marks, STATED_SPREAD * np.array([[0.0], [1.0]])))
-    return trial.config
+    return with_factor(float(np.exp(_least(cost, np.array([[0.0], [-1.0]]))[0])))
 
 
 def _least(cost: Callable[[Scalars], float], simplex: Matrix) -> Scalars:
     """Logarithms of factors that cost least."""
-    near = SAME_FACTOR * STATED_SPREAD
+    near, simplex = SAME_FACTOR * STATED_SPREAD, STATED_SPREAD * simplex
     return np.asarray(fmin(cost, simplex[0], xtol=near, ftol=near, initial_simplex=simplex, disp=False))
 
 
