@@ -8,10 +8,12 @@ import pytest
 
 import magmatch as mm
 from drifting import Place, submap_at
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import rotation_matrix
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
+from magmatch.slam import shared_hyperparameters as module
 from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.shared_hyperparameters import shared_hyperparameters
@@ -57,6 +59,22 @@ def test_a_base_expects_little_beside_a_calm_path_and_much_beside_a_rough_one():
     calm, rough = np.array_split(ratios, 2)
     assert abs(np.mean(calm)) < 0.7
     assert abs(np.mean(rough)) < 0.7
+
+
+def test_of_many_logs_some_show_how_the_field_changes(monkeypatch):
+    looked_at = []
+
+    def numbers_of(samples):
+        looked_at.append(samples)
+        return Hyperparameters(1.0, 1e-6, 1e-7, spacing=0.3), 1.0
+
+    monkeypatch.setattr(module, "_hyperparameters_of", numbers_of)
+    x = np.linspace(0, 10, 50)[:, None] * [1.0, 0, 0]
+    logs = [mm.Survey(x, 1e-6 * np.sin(x + k)) for k in range(3 * module.MOST_LOGS)]
+    shared_hyperparameters(logs)
+    assert len(looked_at) == 2 * module.MOST_LOGS
+    shared_hyperparameters(logs[: module.MOST_LOGS])
+    assert len(looked_at) == 4 * module.MOST_LOGS
 
 
 def test_a_walk_that_stands_still_has_numbers():

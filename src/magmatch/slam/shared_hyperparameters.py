@@ -23,6 +23,8 @@ from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_
 N_PARTS = 8
 PART_LENGTH = 25.0
 MOST_SAMPLES = 400
+# Logs that are looked at: of more, the medians are known well enough, and each part costs as much as a window.
+MOST_LOGS = 2 * N_PARTS
 # Parts too long are cut so often at most: of noise alone the lengthscale falls for ever.
 MOST_CUTS = 4
 # What the prior expects is computed on a path of so many field lengths, at so many points, of samples with so much
@@ -40,6 +42,7 @@ def shared_hyperparameters(surveys: Sequence[Survey], n_parts: int = N_PARTS) ->
     # Who stands sees nothing of how the field changes; where all stand, their jitter is their path.
     moved = [(survey, path) for survey in surveys if (path := path_moved(survey.positions))[-1] > 0]
     moved = moved or [(survey, path_walked(survey.positions)) for survey in surveys]
+    moved = [moved[k] for k in even_choice(len(moved), MOST_LOGS)]
     n_each = max(n_parts // len(moved), 2)
     for survey, walked in moved:
         for middle in (np.arange(n_each) + 0.5) / n_each:
@@ -71,7 +74,8 @@ def as_rough_as_measured(h: Hyperparameters, surveys: Sequence[Survey], length: 
     measured = squared_gradient(surveys, length, h.noise_sd)
     if measured <= 0:
         return h
-    expected = float(np.median([_expected_square(survey, h, TUBE_LENGTH * length) for survey in surveys]))
+    some = [surveys[k] for k in even_choice(len(surveys), MOST_LOGS)]
+    expected = float(np.median([_expected_square(survey, h, TUBE_LENGTH * length) for survey in some]))
     return replace(h, prior_scale=h.prior_scale * float(np.sqrt(measured / expected)))
 
 
