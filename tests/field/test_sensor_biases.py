@@ -20,7 +20,7 @@ from magmatch.field.tiles.tiles import Tiling
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 
-NUMBERS = Hyperparameters(lengthscale=1.0, signal_sd=6e-6, noise_sd=3e-7, spacing=0.4, divergence_weight=300.0)
+NUMBERS = Hyperparameters(lengthscale=1.6, signal_sd=8e-6, noise_sd=3e-7, spacing=0.6, divergence_weight=300.0)
 SPREAD = 8e-6
 AS_IS = Rotation.identity()
 
@@ -28,10 +28,10 @@ AS_IS = Rotation.identity()
 def field_at(points):
     """Field of three dipoles below the floor, and Earth's, T."""
     field = np.tile([20e-6, 0.0, -40e-6], (len(points), 1))
-    for place, moment in (((1, 1, -1.0), (3, 1, 8)), ((3, 2, -1.2), (-5, 3, 9)), ((2, 3, -1), (1, 6, -7))):
+    for place, moment in (((1, 1, -1.6), (3, 1, 8)), ((3, 2, -1.8), (-5, 3, 9)), ((2, 3, -1.6), (1, 6, -7))):
         r, m = points - np.array(place), np.array(moment, dtype=float)
         d = np.linalg.norm(r, axis=1)[:, None]
-        field += 2e-6 * (3 * r * (r @ m)[:, None] / d**5 - m / d**3)
+        field += 8e-6 * (3 * r * (r @ m)[:, None] / d**5 - m / d**3)
     return field
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.sensor_axes import stuck_axes
@@ -113,38 +112,43 @@ def solve_biases(
     found = no_biases(len(surveys), spread or 0.0)
     if not logs or spread == 0:
         return found
+    A, v = _said_by_all(posterior, R_model_map, samples, surveys, logs)
+    h = posterior.hyperparameters
+    # What is blended of tiles is not quite symmetric, and so may be less than nothing where nothing is said.
+    values, vectors = np.linalg.eigh((A + A.T) / 2 / h.noise_sd**2)
+    values, along = np.maximum(values, 0), vectors.T @ v / h.noise_sd**2
+    chosen = _likeliest_spread(values, along) if spread is None else spread
+    variance = chosen**2 / (1 + chosen**2 * values)
+    found.bias[logs] = (vectors @ (variance * along)).reshape(-1, 3)
+    # As sure as the map is of its field.
+    found.sd[logs] = h.inflation * np.sqrt(vectors**2 @ variance).reshape(-1, 3)
+    return replace(found, spread=chosen)
+
+
+def _said_by_all(
+    posterior: Posterior, R_model_map: Rotation, samples: Survey, surveys: Sequence[Survey], logs: list[int]
+) -> tuple[Matrix, Scalars]:
+    """What all samples say of the biases of some logs, times the noise variance: precision, and its vector."""
     number = np.repeat(np.arange(len(surveys)), [len(survey) for survey in surveys])
     turns = np.zeros((len(samples), 3, 3))
     for k in logs:
         if (turned := surveys[k].orientations) is not None:
             turns[number == k] = (R_model_map * turned).as_matrix()
-    A, v = np.zeros((3 * len(surveys), 3 * len(surveys))), np.zeros(3 * len(surveys))
+    A, v = np.zeros((3 * len(logs), 3 * len(logs))), np.zeros(3 * len(logs))
     for piece in posterior.pieces(samples.positions):
-        some, seen = np.intersect1d(number[piece.rows], logs), number[piece.rows]
-        if not len(some):
-            continue
-        A_piece, v_piece = _said_of_biases(piece, samples, turns, [np.flatnonzero(seen == k) for k in some])
-        at = (3 * some[:, None] + np.arange(3)).ravel()
-        A[np.ix_(at, at)] += A_piece
-        v[at] += v_piece
-    at = (3 * np.array(logs)[:, None] + np.arange(3)).ravel()
-    A, v = A[np.ix_(at, at)], v[at]
-    h = posterior.hyperparameters
-    # As sure as the map is of its field: neighbours along a path share their errors.
-    variance = (h.noise_sd * h.inflation) ** 2
-    A, v = (A + A.T) / 2 / variance, v / variance
-    chosen = _likeliest_spread(A, v) if spread is None else spread
-    if chosen == 0:
-        return found
-    # In units of the spread, so that the matrix is of order one.
-    factor = cho_factor(chosen**2 * A + np.eye(len(v)))
-    found.bias[logs] = (chosen**2 * cho_solve(factor, v)).reshape(-1, 3)
-    found.sd[logs] = chosen * np.sqrt(np.diag(cho_solve(factor, np.eye(len(v))))).reshape(-1, 3)
-    return replace(found, spread=float(chosen))
+        seen = number[piece.rows]
+        rows_of = [np.flatnonzero(seen == k) for k in logs]
+        some = np.flatnonzero([len(rows) for rows in rows_of])
+        if len(some):
+            A_piece, v_piece = _said_by_one(piece, samples, turns, [rows_of[k] for k in some])
+            at = (3 * some[:, None] + np.arange(3)).ravel()
+            A[np.ix_(at, at)] += A_piece
+            v[at] += v_piece
+    return A, v
 
 
-def _said_of_biases(piece: Piece, samples: Survey, turns: Tensors, rows_of: list[Indices]) -> tuple[Matrix, Scalars]:
-    """What the samples in one piece say of the biases of logs, times the noise variance: precision, and its vector.
+def _said_by_one(piece: Piece, samples: Survey, turns: Tensors, rows_of: list[Indices]) -> tuple[Matrix, Scalars]:
+    """What the samples in one piece say, as `_said_by_all` has it.
 
     ``rows_of``: samples of each log, among those that the piece sees.
     """
@@ -159,9 +163,7 @@ def _said_of_biases(piece: Piece, samples: Survey, turns: Tensors, rows_of: list
     return np.diag(counts) - explained[:, :-1], np.concatenate(of_fields) - explained[:, -1]
 
 
-def _likeliest_spread(A: Matrix, v: Scalars) -> float:
-    """The spread of the biases under which the samples are likeliest, T."""
-    values, vectors = np.linalg.eigh(A)
-    values, along = np.maximum(values, 0), vectors.T @ v
+def _likeliest_spread(values: Scalars, along: Scalars) -> float:
+    """The spread under which the samples are likeliest, T, by what they say along independent directions."""
     evidence = [0.5 * (s**2 * along**2 / (1 + s**2 * values) - np.log1p(s**2 * values)).sum() for s in SPREADS]
     return float(SPREADS[int(np.argmax(evidence))])
