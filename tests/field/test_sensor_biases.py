@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.cli.summaries import info_table
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
@@ -14,7 +15,7 @@ from magmatch.field.fit import fit_unbounded
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.field.sensor_biases import solve_biases
+from magmatch.field.sensor_biases import SensorBiases, no_biases, solve_biases
 from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.localization.config import LocalizerConfig
@@ -206,3 +207,21 @@ def test_a_map_without_one_of_its_logs_has_one_bias_less(mapped):
 def test_a_sensor_in_a_map_of_biased_sensors_may_be_as_biased_as_those(mapped):
     known, config = KnownMap.of(mapped[0]), LocalizerConfig()
     assert known.bias_sds(config) == (np.hypot(config.calibrated_bias_sd, mapped[0].biases.spread), config.bias_sd)
+
+
+def test_info_lists_each_logs_bias_in_microtesla():
+    found = SensorBiases(np.array([[1e-6, -2e-6, 3e-6]]), np.full((1, 3), 1e-7), 4e-6)
+    said = info_table(found.facts([Survey(np.zeros((1, 3)), np.zeros((1, 3)), name="monday.csv")]))
+    assert said.splitlines() == [
+        "sensor bias spread  4 uT",
+        "bias of monday.csv  1, -2, 3 uT (sd 0.1, 0.1, 0.1 uT)",
+    ]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [{"bias": np.zeros((2, 2))}, {"sd": np.zeros((1, 3))}, {"bias": np.full((2, 3), np.nan)}, {"spread": -1.0}],
+)
+def test_biases_that_no_map_can_have_are_refused(rows):
+    with pytest.raises(ValueError, match="expected"):
+        replace(no_biases(2), **rows)
