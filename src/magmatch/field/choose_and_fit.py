@@ -14,7 +14,7 @@ from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice.choose_hyperparameters import choose_numbers
 from magmatch.field.prior_choice.choose_prior import PREFERRED, choose_prior
 from magmatch.field.priors import prior_over
-from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, solve_biases
+from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, shared_errors, solve_biases
 from magmatch.progress import tell
 from magmatch.runner import Workers
 
@@ -31,10 +31,13 @@ def choose_biases(surveys: Sequence[Survey], config: FieldConfig, run: Workers |
         config = config.model_copy(update={"prior": PREFERRED})
     merged, biases = surveys[0].merged(*surveys[1:]), no_biases(len(surveys))
     for _ in range(MOST_BIAS_ROUNDS):
-        field_map, posterior, _samples = choose_and_fit(biases.without(surveys), config, run)
+        field_map, posterior, samples = choose_and_fit(biases.without(surveys), config, run)
         T_model_map = field_map.T_map_model.inv()
         measured, before = merged.transformed(T_model_map), biases.bias
-        biases = solve_biases(posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd)
+        n_alike = shared_errors(posterior, samples)
+        biases = solve_biases(
+            posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
+        )
         if np.linalg.norm(biases.bias - before) <= SETTLED * np.linalg.norm(biases.sd):
             break
     return biases if biases.spread > 0 else None

@@ -28,7 +28,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Posterior, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
-from magmatch.field.sensor_biases import SensorBiases, no_biases, solve_biases
+from magmatch.field.sensor_biases import SensorBiases, no_biases, shared_errors, solve_biases
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
@@ -286,7 +286,8 @@ class FieldMap:
         known, n = self.biases, len(self.surveys)
         spread = self.config.sensor_bias_sd if known is None else known.spread
         R_model_map = self.T_map_model.rotation.inv()
-        found = solve_biases(grown.posterior, R_model_map, fitted, parts, spread, first=n)
+        n_alike = shared_errors(self.posterior, self._fitted())
+        found = solve_biases(grown.posterior, R_model_map, fitted, parts, spread, n, n_alike)
         if known is None and found.spread == 0:
             return None
         known = no_biases(n, found.spread) if known is None else known

@@ -19,6 +19,7 @@ from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.linear_model import Piece, Posterior
+from magmatch.field.selection.spline_evidence import integrated_autocorrelation_time
 from magmatch.typing import Indices, Mask, Matrix, Scalars, Tensors, Vector3, Vectors
 
 # Of logs' biases, T: what a spread is chosen from, or that there is none. A phone that was never calibrated shows up
@@ -101,28 +102,35 @@ def solve_biases(
     surveys: Sequence[Survey],
     spread: float | None,
     first: int = 0,
+    n_alike: float = 1.0,
 ) -> SensorBiases:
     """Most likely biases of logs together with the field, given the fit of samples whose numbers a map has.
 
     ``samples``: of all surveys in the model's frame, as measured, whatever field the fit has seen at their places.
     Surveys before the ``first`` are without bias.
     ``spread``: of the biases (T), by default that which makes the samples likeliest.
+    ``n_alike``: how many neighbouring samples share their errors, and so count as one (`shared_errors`).
     """
     logs = [k for k in biased_logs(surveys) if k >= first]
     found = no_biases(len(surveys), spread or 0.0)
     if not logs or spread == 0:
         return found
     A, v = _said_by_all(posterior, R_model_map, samples, surveys, logs)
-    h = posterior.hyperparameters
+    variance = n_alike * posterior.hyperparameters.noise_sd**2
     # What is blended of tiles is not quite symmetric, and so may be less than nothing where nothing is said.
-    values, vectors = np.linalg.eigh((A + A.T) / 2 / h.noise_sd**2)
-    values, along = np.maximum(values, 0), vectors.T @ v / h.noise_sd**2
+    values, vectors = np.linalg.eigh((A + A.T) / 2 / variance)
+    values, along = np.maximum(values, 0), vectors.T @ v / variance
     chosen = _likeliest_spread(values, along) if spread is None else spread
-    variance = chosen**2 / (1 + chosen**2 * values)
-    found.bias[logs] = (vectors @ (variance * along)).reshape(-1, 3)
-    # As sure as the map is of its field.
-    found.sd[logs] = h.inflation * np.sqrt(vectors**2 @ variance).reshape(-1, 3)
+    left = chosen**2 / (1 + chosen**2 * values)
+    found.bias[logs] = (vectors @ (left * along)).reshape(-1, 3)
+    found.sd[logs] = np.sqrt(vectors**2 @ left).reshape(-1, 3)
     return replace(found, spread=chosen)
+
+
+def shared_errors(posterior: Posterior, samples: Survey) -> float:
+    """How many neighbouring samples of a fit share their errors: the autocorrelation time of its residuals."""
+    residual = samples.field - posterior.evaluate(samples.positions).field
+    return integrated_autocorrelation_time(residual, np.arange(len(samples)))
 
 
 def _said_by_all(
