@@ -11,8 +11,9 @@ import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.sensor_biases import without_bias
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias
 
 CONFIG = SlamConfig()
 NUMBERS = Hyperparameters(1.0, 3e-6, 3e-7, 0.3, 100.0)

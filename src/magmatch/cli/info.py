@@ -87,6 +87,8 @@ def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
     facts: dict[str, Any] = {"prior": field_map.config.prior}
     if field_map.config.comparison:
         facts["left_out_error"] = field_map.config.comparison
+    if field_map.biases is not None:
+        facts |= field_map.biases.facts(field_map.surveys)
     return facts | {"hyperparameters": numbers} | describe(field_map.survey)
 
 

@@ -98,10 +98,13 @@ def build(
     if errors:
         told = ", ".join(f"{name} {field_text(error)}" for name, error in sorted(errors.items(), key=lambda e: e[1]))
         say(f"Chose prior {field_map.config.prior}; typical error on held-out data: {told}")
+    words = "" if field_map.biases is None else f"{field_map.biases.in_words}; 'magmatch info' lists them\n"
     say(
         f"Mapped {len(field_map.survey)} samples: lengthscale {h.lengthscale:.3g} m, field varies by "
-        f"{field_text(h.signal_sd)}, noise {field_text(h.noise_sd)}\nWrote the map to {out}"
+        f"{field_text(h.signal_sd)}, noise {field_text(h.noise_sd)}\n{words}Wrote the map to {out}"
     )
+    if field_map.biases is not None and len(field_map.surveys) == len(samples):
+        samples = list(field_map.biases.without(samples))
     _warn_of_sensors(samples, field_map)
     draw(report, field_map, samples, command_again(surveys, layouts, out))
 

@@ -52,7 +52,7 @@ UNITS = {
     "pose_sd": "m", "low": "m", "high": "m", "extent": "m", "path_length": "m", "median_step": "m",
     "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
     "first": "s", "last": "s", "duration": "s", "rate": "Hz", "longest_gap": "s",
-    "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
+    "sensor_bias_spread": "uT", "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
     "spline": "uT", "divergence_free": "uT", "curl_free": "uT", "harmonic": "uT",
 }  # fmt: skip
 
@@ -65,6 +65,11 @@ def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
             rows += _rows(value, f"{above}{name} ")
         elif name == "topics":
             rows += [("topic", _topic_text(topic)) for topic in value] or [("topics", "none")]
+        elif name == "sensor_biases":
+            rows += [
+                (f"bias of {one['name']}", f"{_text(one['bias'], 'uT')} (sd {_text(one['bias_sd'], 'uT')})")
+                for one in value
+            ]
         elif name == "warnings":
             rows += [("warning", str(w)) for w in value] or [("warnings", "none")]
         else:

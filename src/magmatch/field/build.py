@@ -3,10 +3,11 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 from magmatch.arguments import expect_kind
 from magmatch.data.survey import Survey, subsets
-from magmatch.field.choose_and_fit import choose_and_fit
+from magmatch.field.choose_and_fit import choose_and_fit, choose_biases
 from magmatch.field.config import FieldConfig
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.given_surveys import surveys_of
@@ -32,7 +33,8 @@ def build_map(
     Parameters
     ----------
     survey : Survey or sequence of Survey
-        Samples; several surveys must share one frame and are mapped together.
+        Samples; several surveys must share one frame and are mapped together. Where their orientations are known,
+        each one's sensor bias is solved with the field and taken out (`FieldMap.biases`).
     config : FieldConfig, optional
         Prior and hyperparameters; those not given are chosen from the data.
     run : callable, optional
@@ -61,7 +63,11 @@ def build_map(
 
 def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None = None) -> FieldMap:
     """Map of samples without checking them, however few or suspicious."""
+    biases = choose_biases(surveys, config, run)
+    if biases is not None:
+        surveys = biases.without(surveys)
     field_map, unbounded, samples = choose_and_fit(surveys, config, run)
+    field_map = replace(field_map, biases=biases)
     if not config.leave_out_outliers:
         return field_map
     # Samples outside of a declared box inform what lies inside, and are judged like all others.
@@ -76,4 +82,5 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
         # Nor did they move the numbers, nor the tiles that did not see them.
         return field_map.without_samples(is_out, run)
     # The prior stays; its numbers were those of the samples left out, too.
-    return choose_and_fit(subsets(surveys, ~is_out), field_map.config, run)[0]
+    fitted = choose_and_fit(subsets(surveys, ~is_out), field_map.config, run)[0]
+    return replace(fitted, biases=biases and biases.subset(surveys, ~is_out))

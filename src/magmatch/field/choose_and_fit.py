@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One map of given samples: its prior and hyperparameters are chosen, then it is fitted."""
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
@@ -8,10 +12,35 @@ from magmatch.field.fit import fit_unbounded, within
 from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.map import FieldMap
 from magmatch.field.prior_choice.choose_hyperparameters import choose_numbers
-from magmatch.field.prior_choice.choose_prior import choose_prior
+from magmatch.field.prior_choice.choose_prior import PREFERRED, choose_prior
 from magmatch.field.priors import prior_over
+from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, shared_errors, solve_biases
 from magmatch.progress import tell
 from magmatch.runner import Workers
+
+# Biases and the field's numbers are chosen in turn, since numbers that take biases for noise leave some of them:
+# until biases move by less than this share of their sd, which is less than they are known to, or so often.
+SETTLED, MOST_BIAS_ROUNDS = 0.2, 6
+
+
+def choose_biases(surveys: Sequence[Survey], config: FieldConfig, run: Workers | None) -> SensorBiases | None:
+    """Biases of the logs' sensors, solved with the field; None for one survey alone, or where there are none."""
+    if len(surveys) < 2 or not biased_logs(surveys) or config.sensor_bias_sd == 0:
+        return None
+    if config.prior == "auto":
+        config = config.model_copy(update={"prior": PREFERRED})
+    merged, biases = surveys[0].merged(*surveys[1:]), no_biases(len(surveys))
+    for _ in range(MOST_BIAS_ROUNDS):
+        field_map, posterior, samples = choose_and_fit(biases.without(surveys), config, run)
+        T_model_map = field_map.T_map_model.inv()
+        measured, before = merged.transformed(T_model_map), biases.bias
+        n_alike = shared_errors(posterior, samples)
+        biases = solve_biases(
+            posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
+        )
+        if np.linalg.norm(biases.bias - before) <= SETTLED * np.linalg.norm(biases.sd):
+            break
+    return biases if biases.spread > 0 else None
 
 
 def choose_and_fit(

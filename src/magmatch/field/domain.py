@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, FieldPosterior, Index
+from magmatch.field.linear_model import Axes, FieldPosterior, Index, Piece
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import spanned_points
@@ -94,6 +94,10 @@ class BoundedPosterior:
     def influence(self, points: Points) -> np.ndarray:
         """See `FieldPosterior.influence`: samples outside the box inform what lies inside."""
         return self.inner.influence(points)
+
+    def pieces(self, points: Points) -> Iterable[Piece]:
+        """See `FieldPosterior.pieces`: samples outside the box inform what lies inside."""
+        return self.inner.pieces(points)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """See `FieldPosterior.draw_weights`."""

@@ -8,7 +8,7 @@ can be left out by subtracting what they say. Everything here is in the model's 
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from magmatch.errors import SurveyError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
 from magmatch.runner import Workers
-from magmatch.typing import Mask, Points, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 Axes = tuple[Scalars, Scalars, Scalars]
 # Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
@@ -44,6 +44,24 @@ class LinearModel(Protocol):
         self, points: Points, field: Vectors, stored: Mapping[Index, StoredTile], run: Workers | None, /
     ) -> "FieldPosterior":
         """Posterior of samples; stored tiles with a matching fingerprint are reused, ``run`` fits the others."""
+
+
+class Fit(Protocol):
+    """What a linear fit makes of other fields at its samples; all is linear in them."""
+
+    def loads(self, points: Points, fields: np.ndarray) -> Matrix:
+        """What k fields (n, 3, k) at samples say of the weights: (m, k)."""
+
+    def solve(self, loads: Matrix) -> Matrix:
+        """Dual to `loads`: the products of other loads with these are those of their fields with the fitted ones."""
+
+
+class Piece(NamedTuple):
+    """One fit of those that a field is blended of, the rows of the samples it sees, and its share in each answer."""
+
+    fit: Fit
+    rows: Indices
+    share: Scalars
 
 
 class FieldPosterior(Protocol):
@@ -81,6 +99,9 @@ class FieldPosterior(Protocol):
 
         In units of the noise, this is the posterior covariance of the fitted field.
         """
+
+    def pieces(self, points: Points) -> Iterable[Piece]:
+        """The fits that the field consists of; ``points``: all samples that it was fitted to."""
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
         """Posterior samples for `evaluate`, n_draws of them, in the model's own representation."""

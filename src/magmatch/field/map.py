@@ -28,6 +28,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
+from magmatch.field.sensor_biases import SensorBiases, no_biases, shared_errors, solve_biases
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
@@ -58,6 +59,8 @@ class FieldMap:
         stored once the map was moved to another frame or saved, since transforming back would round.
     parts : tuple of Survey
         The surveys that were mapped together, in order; empty if there was only one.
+    biases : SensorBiases or None
+        Biases of the sensors of `surveys`, which were solved with the field and are taken out of their fields.
     file : MapFile or None
         Where the map was read from, and what is prepared of it may be kept (`magmatch.registration.index`). A map
         that is made of another one has no file.
@@ -70,6 +73,7 @@ class FieldMap:
     T_domain_model: RigidTransform
     fitted_samples: Survey | None = None
     parts: tuple[Survey, ...] = ()
+    biases: SensorBiases | None = None
     file: MapFile | None = field(default=None, init=False)
 
     def __repr__(self) -> str:
@@ -252,7 +256,14 @@ class FieldMap:
         require_one_frame([*self.surveys, *surveys])
         old, T_model_map = self._fitted(), self.T_map_model.inv()
         fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in surveys))
-        grown = self._refitted((*self.surveys, *surveys), fitted, self._tiles(), run)
+        parts, stored = (*self.surveys, *surveys), self._tiles()
+        grown = self._refitted(parts, fitted, stored, run)
+        biases = self._biases_added(grown, parts, fitted)
+        if biases is not None and np.any(biases.bias[len(self.surveys) :]):
+            new = biases.without(parts)[len(self.surveys) :]
+            fitted = old.merged(*(survey.transformed(T_model_map, old.frame) for survey in new))
+            grown = self._refitted((*self.surveys, *new), fitted, stored, run)
+        grown = replace(grown, biases=biases)
         warn_of_excess(grown, grown.survey)
         return grown
 
@@ -267,7 +278,20 @@ class FieldMap:
         tiles = self._tiles()
         # A region in one piece has no tile that saw none of them.
         stored = tiles if len(tiles) > 1 else {}
-        return self._refitted(subsets(self.surveys, ~is_out), self._fitted().subset(~is_out), stored, run)
+        fewer = self._refitted(subsets(self.surveys, ~is_out), self._fitted().subset(~is_out), stored, run)
+        return replace(fewer, biases=self.biases and self.biases.subset(self.surveys, ~is_out))
+
+    def _biases_added(self, grown: "FieldMap", parts: tuple[Survey, ...], fitted: Survey) -> SensorBiases | None:
+        """Biases of this map's logs, and of those that it grew by, solved with those of the others known."""
+        known, n = self.biases, len(self.surveys)
+        spread = self.config.sensor_bias_sd if known is None else known.spread
+        R_model_map = self.T_map_model.rotation.inv()
+        n_alike = shared_errors(self.posterior, self._fitted())
+        found = solve_biases(grown.posterior, R_model_map, fitted, parts, spread, n, n_alike)
+        if known is None and found.spread == 0:
+            return None
+        known = no_biases(n, found.spread) if known is None else known
+        return known.joined(found.bias[n:], found.sd[n:])
 
     def _refitted(
         self, parts: tuple[Survey, ...], fitted: Survey, stored: dict[Index, StoredTile], run: Workers | None
@@ -300,6 +324,7 @@ class FieldMap:
             self._fitted(),
             self.T_domain_model,
             tiles,
+            self.biases,
         ).write(path)
 
     @classmethod
@@ -331,6 +356,7 @@ class FieldMap:
             record.T_domain_model,
             record.fitted_samples,
             record.surveys if len(record.surveys) > 1 else (),
+            record.biases,
         )
         if Path(path).is_file():  # nothing is kept beside a pipe
             object.__setattr__(loaded, "file", MapFile(Path(path).absolute(), record.sha256))

@@ -20,6 +20,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior, Index, StoredTile, is_refit
+from magmatch.field.sensor_biases import SensorBiases
 from magmatch.store import expect, naming, open_stored, save
 from magmatch.typing import Scalars
 
@@ -62,6 +63,7 @@ class MapRecord:
     fitted_samples: Survey
     T_domain_model: RigidTransform  # takes model coordinates to the frame of ``config.domain``
     tiles: Mapping[Index, StoredTile]  # weights of each tile of a spline model; a region without tiles is one
+    biases: SensorBiases | None = None  # of the surveys' sensors, which were taken out of their fields
     sha256: str = ""  # of the file that it was read from
 
     @property
@@ -74,6 +76,11 @@ class MapRecord:
         if not n or len(self.fitted_samples) != n or bool(self.tiles) == bool(self.weights.size):
             msg = (
                 f"expected as many fitted samples as the surveys have ({n}), and the weights of tiles or all weights"
+            )
+            raise ValueError(msg)
+        if self.biases is not None and len(self.biases.bias) != len(self.surveys):
+            msg = (
+                f"entry 'biases': expected one for each of {len(self.surveys)} surveys, found {len(self.biases.bias)}"
             )
             raise ValueError(msg)
         arrays = {"positions": self.survey.positions, "field": self.survey.field, "weights": self.weights}
@@ -113,7 +120,8 @@ class MapRecord:
 
     def write(self, path: str | Path) -> None:
         """Save the record; see `read`."""
-        content = {
+        content: dict[str, Any] = {} if self.biases is None else {"biases": self.biases}
+        content |= {
             "surveys": self.surveys,
             "fitted_samples": Survey(self.fitted_samples.positions, self.fitted_samples.field, frame="model"),
             "T_map_model": self.T_map_model,
@@ -130,12 +138,14 @@ class MapRecord:
         """Read a saved map without fitting it: for its samples alone this is all that is needed."""
         stored = open_stored(path, SCHEMA, is_mapped=False)
         stored.check()
-        content = stored.content((Hyperparameters, StoredTile, Survey), own=True)
+        content = stored.content((Hyperparameters, SensorBiases, StoredTile, Survey), own=True)
         with naming(path):
             expect(
                 content, surveys=[Survey], fitted_samples=Survey, T_map_model=RigidTransform,
                 T_domain_model=RigidTransform, hyperparameters=Hyperparameters, weights=np.ndarray, tiles=[tuple],
             )  # fmt: skip
+            if "biases" in content:
+                expect(content, biases=SensorBiases)
             content["config"] = FieldConfig.model_validate(content["config"])
             content["surveys"], content["tiles"] = tuple(content["surveys"]), dict(content["tiles"])
             return cls(**content, sha256=stored.sha256)

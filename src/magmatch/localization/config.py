@@ -18,8 +18,8 @@ class LocalizerConfig(Settings):
     # Whether z is up in the map's frame and the odometry's, and whether the body keeps one height, the map's, too.
     is_gravity_aligned: bool = True
     is_planar: bool = False
-    # Bias of the magnetometer, T: of one that was calibrated and of one that was not, alike probable beforehand; and
-    # how it drifts, T per root of a second.
+    # Bias of the magnetometer, T: of one that was calibrated (beside what the sensors of the map's own logs had) and
+    # of one that was not, alike probable beforehand; and how it drifts, T per root of a second.
     calibrated_bias_sd: float = Field(default=1e-6, gt=0)
     bias_sd: float = Field(default=30e-6, gt=0)
     bias_drift: float = Field(default=2e-8, ge=0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotation_matrix
+from magmatch.localization.config import LocalizerConfig
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.prepared.cubes import thin
@@ -56,6 +57,7 @@ class KnownMap:
     field_sd: float  # T: of one component over the map's samples
     field_rms: float  # T
     mean_field: Vector3  # T, model frame
+    bias_spread: float  # T: of the biases of the map's own logs
     # Two (f,) arrays: `PathNoise.log_factors`, as many as a window's bins can tell apart
     log_factors: tuple[Scalars, Scalars]
 
@@ -73,6 +75,10 @@ class KnownMap:
         """
         errors = self.noise.misfit_sd**2 + self.noise.constant_sd**2
         return float(1 / np.sqrt(max(1 - errors / self.field_sd**2, LEAST_EXPLAINED)))
+
+    def bias_sds(self, config: LocalizerConfig) -> tuple[float, float]:
+        """Prior sd (T) of the bias of a sensor like those of the map's logs, and of one that was not calibrated."""
+        return float(np.hypot(config.calibrated_bias_sd, self.bias_spread)), config.bias_sd
 
     @classmethod
     def of(cls, place: FieldMap | MapIndex) -> "KnownMap":
@@ -100,6 +106,7 @@ class KnownMap:
             field_sd,
             float(np.sqrt((base.sample_field**2).mean())),
             base.sample_field.mean(axis=0),
+            0.0 if (biases := base.field_map.biases) is None else biases.spread,
             _some_factors(noise),
         )
 

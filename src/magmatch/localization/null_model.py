@@ -38,7 +38,7 @@ class UnrelatedFields:
         # A smooth misfit is nothing that an unrelated field, smooth itself, lacks.
         rough = turned if model.misfit_is_smooth else turned + model.misfit_variance
         self._model = model
-        kinds = list(product(LENGTHSCALES, STRENGTHS, NOISES, (config.calibrated_bias_sd, config.bias_sd)))
+        kinds = list(product(LENGTHSCALES, STRENGTHS, NOISES, known.bias_sds(config)))
         self._start = np.zeros(len(kinds), UNRELATED)
         mean, variances = _constant_elsewhere(known, config)
         for one, (lengthscale, strength, noise, bias) in zip(self._start, kinds, strict=True):

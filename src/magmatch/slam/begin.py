@@ -9,6 +9,7 @@ import numpy as np
 from magmatch.data.checks import extent
 from magmatch.data.diagnoses import CONSTANT_FIELD
 from magmatch.data.survey import Survey
+from magmatch.field.sensor_biases import without_bias
 from magmatch.preparation.odometry.drift import lie_level
 from magmatch.progress import tell
 from magmatch.slam.config import SlamConfig
@@ -16,7 +17,7 @@ from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
 from magmatch.slam.search.submaps import SubmapMaker
-from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias
 from magmatch.slam.shared_hyperparameters import N_PARTS, guessed_noise, shared_hyperparameters
 from magmatch.slam.windows import cut
 

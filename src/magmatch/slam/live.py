@@ -11,6 +11,7 @@ from magmatch.arguments import column_of, expect_transform, points_of
 from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
 from magmatch.field.selection.spline_hyperparameters import FEWEST_SAMPLES
+from magmatch.field.sensor_biases import without_bias
 from magmatch.geometry import path_moved
 from magmatch.number_text import told
 from magmatch.preparation.recalibrations import NEIGHBOURS
@@ -22,7 +23,7 @@ from magmatch.slam.config import SlamConfig
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate
-from magmatch.slam.sensor_bias import in_one_calibration, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration
 from magmatch.slam.shared_hyperparameters import N_PARTS
 from magmatch.slam.slam import close_near
 from magmatch.slam.windows import Path, Window, mean_field, walked_along

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.field.sensor_biases import without_bias
 from magmatch.preparation.odometry.drift import lie_level
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
@@ -16,7 +17,7 @@ from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import moved
 from magmatch.slam.search.predicted import earlier_passes
 from magmatch.slam.search.submaps import SubmapMaker
-from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.typing import Indices, Points, Vector3
 

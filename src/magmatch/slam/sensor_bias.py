@@ -82,10 +82,3 @@ def _headings_alone(R: Rotation) -> Rotation:
     z, w = (R * R[0].inv()).as_quat()[:, 2:].T
     about_z = Rotation.from_euler("z", 2 * np.arctan2(z, w)[:, None])
     return about_z * (about_z.inv() * R).mean()
-
-
-def without_bias(survey: Survey, bias: Vector3) -> Survey:
-    """The survey as measured by a magnetometer without the bias."""
-    if survey.orientations is None:
-        return survey
-    return replace(survey, field=survey.field - survey.orientations.apply(bias))

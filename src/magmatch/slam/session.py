@@ -276,8 +276,19 @@ class Session:
             self._maps[component] = made
         return made
 
+    @property
+    def map_biases(self) -> list[tuple[Vector3, Vector3]]:
+        """What each log's readings still have of its sensor's bias, and sd (T), as the maps made so far know it."""
+        found = [(np.zeros(3), np.zeros(3)) for _ in self.paths]
+        for component, made in self._maps.items():
+            logs = self.components[component]
+            if made.biases is not None and len(made.surveys) == len(logs):
+                for k, bias, sd in zip(logs, made.biases.bias, made.biases.sd, strict=True):
+                    found[k] = bias, sd
+        return found
+
     def result(self) -> SlamResult:
-        """The result as a document."""
+        """The result as a document; once a map is made it states the biases that were solved with it."""
         names, closures = self.names, self.graph.closures
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
         kept = [c for c in closures if c.is_kept]
@@ -304,13 +315,18 @@ class Session:
             state_anchors(anchors, self.graph, names),
             DriftResult()
             if self.is_rigid
-            else state_odometry(self.graph, self._now.biases, self._as_measured(), names),
+            else state_odometry(self.graph, self._biases(), self._as_measured(), names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,
             self.seed,
             tuple(describe_input(s) for s in self.logs),
         )
+
+    def _biases(self) -> list[tuple[Vector3, Vector3]]:
+        """Each log's bias and sd: what the graph began with, and the map's part, which knows it better."""
+        both = zip(self._now.biases, self.map_biases, strict=True)
+        return [(first + more, sd if sd.any() else first_sd) for (first, first_sd), (more, sd) in both]
 
     def _as_measured(self) -> list[Survey]:
         """All logs before anything was taken off."""

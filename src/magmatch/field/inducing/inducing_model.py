@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import LinAlgError, blas, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, blas, cho_solve, cholesky, solve_triangular
 from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import chunks
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
-from magmatch.field.linear_model import Axes, Index, StoredTile
+from magmatch.field.linear_model import Axes, Index, Piece, StoredTile
 from magmatch.field.values import FieldValues
 from magmatch.runner import Workers
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
@@ -214,6 +214,19 @@ class InducingPosterior:
         n = len(points)
         # From rows a n + i, component by component, to rows 3 i + a.
         return np.asarray((half.T @ half).reshape(3, n, 3, n).transpose(1, 0, 3, 2).reshape(3 * n, 3 * n))
+
+    def pieces(self, points: Points) -> list[Piece]:
+        """One."""
+        return [Piece(self, np.arange(len(points)), np.ones(len(points)))]
+
+    def loads(self, points: Points, fields: np.ndarray) -> Matrix:
+        """Of the whitened weights, in units of the noise: (m, k)."""
+        by_component = np.swapaxes(fields, 0, 1).reshape(3 * len(points), -1)
+        return np.asarray(self.model.features(points, 0) @ by_component)
+
+    def solve(self, loads: Matrix) -> Matrix:
+        """Whitened weights of the fields that are fitted to others."""
+        return np.asarray(cho_solve((self.factor, True), loads))
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m)."""

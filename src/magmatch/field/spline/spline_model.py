@@ -16,7 +16,7 @@ from magmatch.field.cholesky.refined_solve import refined_solve
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_elements
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, Index
+from magmatch.field.linear_model import Axes, Index, Piece
 from magmatch.field.spline.element_matrices import cell_weights
 from magmatch.field.spline.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
 from magmatch.field.spline.spline_grid import evaluate_on_grid
@@ -194,6 +194,22 @@ class SplinePosterior:
         cell, t = self.cells.locate(points)
         rows = self._rows(cell, t, derivative_table(0))
         return joint_covariances(self.factors.light, self._unknowns(cell), rows)
+
+    def pieces(self, points: Points) -> list[Piece]:
+        """One."""
+        return [Piece(self, np.arange(len(points)), np.ones(len(points)))]
+
+    def loads(self, points: Points, fields: np.ndarray) -> Matrix:
+        """Sums ``Phi^T b`` of fields, (m + 3, k)."""
+        cell, t = self.cells.locate(points)
+        out = np.zeros((len(self.weights), fields.shape[2]))
+        rows = self._rows(cell, t, derivative_table(0))
+        np.add.at(out, self._unknowns(cell), np.swapaxes(rows, 1, 2) @ fields)
+        return out
+
+    def solve(self, loads: Matrix) -> Matrix:
+        """Weights of the fields that are fitted to others, (m + 3, k)."""
+        return self.factors.full.solve(loads)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Matrix:
         """Posterior samples of the weights, (n_draws, m + 3); their spread is right to a thousandth."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, Index
+from magmatch.field.linear_model import Axes, Index, Piece
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import (
@@ -134,6 +134,15 @@ class TiledPosterior:
             shared = joint.reshape(len(rows), 3, len(rows), 3) * (root[:, None, None, None] * root[:, None])
             out[rows[:, None], :, rows] += shared.transpose(0, 2, 1, 3)
         return out.reshape(3 * n, 3 * n)
+
+    def pieces(self, points: Points) -> Iterator[Piece]:
+        """One for each tile; their shares of a sample sum to one."""
+        (sees,) = self.tasks.rows
+        for number, rows, weights in self._shares(points, 0):
+            seen = sees[number][self.tiling.is_inside(points[sees[number]], self.tiles[number])]
+            share = np.zeros(len(points))
+            share[rows] = weights[0]
+            yield Piece(self.factored(number), seen, share[seen])
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""

@@ -84,7 +84,7 @@ def _score(known: KnownMap, stretch: np.ndarray, config: LocalizerConfig) -> tup
         turned[vectors] = stretch[vectors] @ np.swapaxes(turns, 1, 2)
     turned["R"] = turns[:, None] @ stretch["R"]
     score, sd2 = np.zeros((len(known.anchors), N_HEADINGS)), (SCORE_SD * known.field_sd) ** 2
-    ridges = np.array([sd2 / config.calibrated_bias_sd**2, sd2 / config.bias_sd**2])
+    ridges = np.array([sd2 / bias_sd**2 for bias_sd in known.bias_sds(config)])
     score_all(known.anchors, turned, known.ground, sd2, ridges, score)
     order = np.argsort(score, axis=None, kind="stable")[: 20 * config.n_starts]
     anchor, heading = np.unravel_index(order[score.ravel()[order] < UNKNOWN], score.shape)
@@ -126,7 +126,7 @@ def _replay(
     bank = hypotheses(2 * n)
     sd = START_SD[0] * known.length, START_SD[1]
     bank["P"] = start_covariance(known.up, sd, config)
-    for rows, bias in ((slice(n), config.calibrated_bias_sd), (slice(n, None), config.bias_sd)):
+    for rows, bias in zip((slice(n), slice(n, None)), known.bias_sds(config), strict=True):
         bank["R"][rows] = turns @ steps["R"][0]
         bank["p"][rows] = places + (1 + scales[:, None]) * (turns @ (steps["p"][0] - steps["p"][-1]))
         bank["P"][rows, BIAS : BIAS + 3, BIAS : BIAS + 3] = bias**2 * np.eye(3)

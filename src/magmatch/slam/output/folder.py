@@ -11,6 +11,7 @@ from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
+from magmatch.field.sensor_biases import without_bias
 from magmatch.registration.clock import Clock
 from magmatch.slam.graph.trajectories import corrected_poses
 from magmatch.slam.output.graph_files import write_covariances, write_graph
@@ -117,13 +118,14 @@ def _write(
     session: Session, folder: Path, report: WriteReport | None, poses: Sequence[Trajectory | None]
 ) -> SlamResult:
     clock = Clock()
-    for name, survey, path, own in zip(session.names, session.trajectories, session.paths, poses, strict=True):
-        survey.save(folder / f"{name}.csv")
-        if (there := corrected_poses(path, session.graph, own)) is not None:
-            there.save(folder / f"{name}.tum")
     with clock("maps"):
         for k in range(len(session.components)):
             session.map(k).save(folder / ("map.map" if k == 0 else f"map_{k + 1}.map"))
+    trajectories = [without_bias(s, b) for s, (b, _) in zip(session.trajectories, session.map_biases, strict=True)]
+    for name, survey, path, own in zip(session.names, trajectories, session.paths, poses, strict=True):
+        survey.save(folder / f"{name}.csv")
+        if (there := corrected_poses(path, session.graph, own)) is not None:
+            there.save(folder / f"{name}.tum")
     write_graph(session.graph, folder / GRAPH)
     write_covariances(session, folder / COVARIANCES)
     write_session(session, folder / SESSION)

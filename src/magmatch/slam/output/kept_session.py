@@ -9,6 +9,7 @@ from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.sensor_biases import without_bias
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
@@ -17,7 +18,7 @@ from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.places import Places
 from magmatch.slam.search.submaps import SubmapMaker
-from magmatch.slam.sensor_bias import in_one_calibration, without_bias
+from magmatch.slam.sensor_bias import in_one_calibration
 from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 from magmatch.store import expect, load, naming, save

@@ -74,6 +74,8 @@ def _facts(field_map: FieldMap) -> list[list[str]]:
     rows = [["Samples", str(len(survey))], ["Extent", f"{extent} m, frame '{survey.frame}'"]]
     if len(field_map.surveys) > 1:
         rows.append(["Surveys", ", ".join(f"{part.name} ({len(part)})" for part in field_map.surveys)])
+    if field_map.biases is not None:
+        rows.append(["Sensors", field_map.biases.in_words])
     rows += [["Prior", field_map.config.prior]]
     if field_map.config.domain is not None:
         rows.append(["Declared box", ", ".join(told(v) for v in field_map.config.domain) + " m"])

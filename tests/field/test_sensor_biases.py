@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Biases of several logs' sensors, solved with the field of their map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from magmatch.cli.summaries import info_table
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.fit import fit_unbounded
+from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.map import FieldMap
+from magmatch.field.priors import PRIORS
+from magmatch.field.sensor_biases import SensorBiases, no_biases, solve_biases
+from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.tiles import Tiling
+from magmatch.localization.config import LocalizerConfig
+from magmatch.localization.known_map import KnownMap
+
+NUMBERS = Hyperparameters(lengthscale=1.6, signal_sd=8e-6, noise_sd=3e-7, spacing=0.6, divergence_weight=300.0)
+SPREAD = 8e-6
+AS_IS = Rotation.identity()
+
+
+def field_at(points):
+    """Field of three dipoles below the floor, and Earth's, T."""
+    field = np.tile([20e-6, 0.0, -40e-6], (len(points), 1))
+    for place, moment in (((1, 1, -1.6), (3, 1, 8)), ((3, 2, -1.8), (-5, 3, 9)), ((2, 3, -1.6), (1, 6, -7))):
+        r, m = points - np.array(place), np.array(moment, dtype=float)
+        d = np.linalg.norm(r, axis=1)[:, None]
+        field += 8e-6 * (3 * r * (r @ m)[:, None] / d**5 - m / d**3)
+    return field
+
+
+def walk(rng, bias, n=60, noise=2e-7):
+    """Most of a circle in a room of 4 m, its sensor turned along it."""
+    angle = rng.uniform(0, 2 * np.pi) + np.linspace(0, 5, n)
+    r = rng.uniform(0.7, 1.4)
+    x, y = rng.uniform(r, 4 - r, (2, 1)) + r * np.array([np.cos(angle), np.sin(angle)])
+    p = np.column_stack([x, y, np.zeros(n)])
+    R = Rotation.from_euler("z", np.arctan2(np.gradient(y), np.gradient(x))[:, None])
+    field = field_at(p) + R.apply(bias) + rng.normal(0, noise, (n, 3))
+    return Survey(p, field, np.arange(n) * 0.1, R, name="walk")
+
+
+def walks(n_walks, spread=SPREAD, seed=0, **kinds):
+    rng = np.random.default_rng(seed)
+    biases = rng.normal(0, spread, (n_walks, 3)) if spread else np.zeros((n_walks, 3))
+    return [walk(rng, bias, **kinds) for bias in biases], biases
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    surveys, biases = walks(6, n=40)
+    return build_map(surveys), surveys, biases
+
+
+def solved(surveys, spread=SPREAD, prior="spline", first=0):
+    samples = surveys[0].merged(*surveys[1:])
+    posterior = fit_unbounded(samples, NUMBERS, PRIORS[prior], {}, None)
+    return posterior, samples, solve_biases(posterior, AS_IS, samples, surveys, spread, first)
+
+
+def columns_of(surveys):
+    """Field at all samples per unit of each bias, (3 n, 3 l)."""
+    G, start = np.zeros((3 * sum(map(len, surveys)), 3 * len(surveys))), 0
+    for k, survey in enumerate(surveys):
+        end = start + 3 * len(survey)
+        G[start:end, 3 * k : 3 * k + 3] = survey.orientations.as_matrix().reshape(-1, 3)
+        start = end
+    return G
+
+
+def expect_joint_solution(found, G, whitened, field):
+    """``whitened``: the inverse covariance of field and noise, times G."""
+    C = np.linalg.inv(G.T @ whitened + np.eye(G.shape[1]) / SPREAD**2)
+    np.testing.assert_allclose(found.bias.ravel(), C @ whitened.T @ field.ravel(), atol=1e-9)
+    np.testing.assert_allclose(found.sd.ravel(), np.sqrt(np.diag(C)), rtol=1e-4)
+
+
+def test_biases_are_those_of_a_gaussian_process_with_bias_columns():
+    surveys, _ = walks(3, n=25)
+    posterior, samples, found = solved(surveys, prior="curl_free")
+    K, s = posterior.influence(samples.positions), NUMBERS.noise_sd
+    # The covariance of the field that a smoother S stands for: S = K (K + s^2)^-1.
+    K = s**2 * np.linalg.solve(np.eye(len(K)) - K, K)
+    G = columns_of(surveys)
+    expect_joint_solution(found, G, np.linalg.solve(K + s**2 * np.eye(len(K)), G), samples.field)
+
+
+def test_biases_are_those_that_fits_of_their_columns_leave():
+    surveys, _ = walks(3, n=25)
+    _, samples, found = solved(surveys)
+    G = columns_of(surveys)
+
+    def smooth(column):
+        given = replace(samples, field=column.reshape(-1, 3))
+        return fit_unbounded(given, NUMBERS, PRIORS["spline"], {}, None).evaluate(samples.positions).field.ravel()
+
+    left = G - np.transpose([smooth(column) for column in G.T])
+    expect_joint_solution(found, G, left / NUMBERS.noise_sd**2, samples.field)
+
+
+def test_a_bias_of_the_sensor_moves_its_estimate_and_hardly_the_map():
+    surveys, _ = walks(8)
+    step = np.array([3e-6, -4e-6, 5e-6])
+    turned = replace(surveys[2], field=surveys[2].field + surveys[2].orientations.apply(step))
+    others = [*surveys[:2], turned, *surveys[3:]]
+    _, samples, before = solved(surveys, 1e-3)
+    _, _, after = solved(others, 1e-3)
+    moved = after.bias - before.bias
+    np.testing.assert_allclose(moved[2, :2], step[:2], atol=0.1e-6)
+    # What level walks share along the vertical is the field's.
+    np.testing.assert_allclose(moved[2, 2] - np.delete(moved[:, 2], 2), step[2], atol=0.1e-6)
+    fields = [
+        fit_unbounded(u[0].merged(*u[1:]), NUMBERS, PRIORS["spline"], {}, None).evaluate(samples.positions).field
+        for u in (before.without(surveys), after.without(others))
+    ]
+    change = fields[1] - fields[0]
+    assert np.abs(change - change.mean(axis=0)).max() < 0.1e-6
+
+
+def test_tiles_say_of_biases_what_the_whole_says():
+    surveys, _ = walks(6, n=40)
+    _, samples, whole = solved(surveys)
+    tiling = Tiling(NUMBERS.spacing, margin=5, reach=2, core=6, blend=1)
+    tiled = TiledModel.over(samples.positions, NUMBERS, tiling).fit(samples.positions, samples.field, {}, None)
+    assert len(tiled.tiles) > 1
+    found = solve_biases(tiled, AS_IS, samples, surveys, SPREAD)
+    # Tiles do not know that the constant field is one.
+    apart = found.bias - whole.bias
+    apart[:, 2] -= apart[:, 2].mean()
+    assert (np.abs(apart) < 0.2e-6 + whole.sd).all()
+    assert np.median(np.abs(apart)) < 0.1e-6
+
+
+def test_known_biases_of_several_logs_are_recovered_with_their_map(mapped):
+    field_map, surveys, biases = mapped
+    error = field_map.biases.bias - biases
+    assert np.sqrt((error[:, :2] ** 2).mean()) < 0.1 * SPREAD
+    assert (np.abs(error) < 3 * field_map.biases.sd).all()
+    # The vertical of level walks is known against one another.
+    assert np.std(error[:, 2]) < 0.1 * SPREAD
+    assert 0.5 * SPREAD < field_map.biases.spread < 1.5 * SPREAD
+    assert field_map.hyperparameters.noise_sd < 4e-7
+    np.testing.assert_array_equal(
+        field_map.surveys[0].field, surveys[0].field - surveys[0].orientations.apply(field_map.biases.bias[0])
+    )
+
+
+@pytest.mark.parametrize("change", ["one", "bare", "told"])
+def test_a_map_without_biases_to_solve_is_the_same_to_the_bit(change):
+    surveys, _ = walks(3, n=30)
+    if change == "one":
+        surveys = surveys[:1]
+    if change == "bare":
+        surveys = [replace(survey, orientations=None) for survey in surveys]
+    config = FieldConfig(sensor_bias_sd=0.0 if change == "told" else None)
+    field_map = build_map(surveys, config)
+    assert field_map.biases is None
+    merged = surveys[0].merged(*surveys[1:])
+    np.testing.assert_array_equal(field_map.survey.field, merged.field)
+    np.testing.assert_array_equal(field_map.posterior.weights, build_map(merged, config).posterior.weights)
+
+
+def test_sensors_without_bias_are_found_to_have_next_to_none():
+    surveys, _ = walks(6, spread=0)
+    _, _, found = solved(surveys, None)
+    assert found.spread < 0.1 * SPREAD
+
+
+def test_a_survey_without_orientations_tells_the_others_their_bias():
+    surveys, biases = walks(6)
+    bare = replace(walk(np.random.default_rng(7), np.zeros(3), n=200), orientations=None)
+    found = solved([*surveys, bare])[2]
+    assert not found.bias[-1].any()
+    np.testing.assert_allclose(found.bias[:-1], biases, atol=1.5e-6)
+
+
+def test_a_log_added_to_a_map_has_its_bias_solved_against_it(mapped, tmp_path):
+    field_map, _, _ = mapped
+    bias = np.array([6e-6, -7e-6, 4e-6])
+    new = walk(np.random.default_rng(5), bias, n=40)
+    grown = field_map.with_surveys(new)
+    clean = walk(np.random.default_rng(5), np.zeros(3), n=40)
+    np.testing.assert_array_equal(grown.biases.bias[:-1], field_map.biases.bias)
+    shared = (grown.survey.field[-40:] - clean.field).mean(axis=0)  # what the map's own logs left to its field
+    np.testing.assert_allclose(grown.biases.bias[-1][:2], bias[:2], atol=0.6e-6)
+    np.testing.assert_allclose(grown.biases.bias[-1][2] + shared[2], bias[2], atol=0.6e-6)
+    grown.save(tmp_path / "room.map")
+    loaded = FieldMap.load(tmp_path / "room.map")
+    np.testing.assert_array_equal(loaded.biases.bias, grown.biases.bias)
+    assert loaded.biases.spread == grown.biases.spread
+    assert loaded.transformed(RigidTransform.from_translation([1, 0, 0])).biases is loaded.biases
+
+
+def test_a_map_without_one_of_its_logs_has_one_bias_less(mapped):
+    field_map, surveys, _ = mapped
+    fewer = field_map.without_samples(np.arange(len(field_map.survey)) < len(surveys[0]))
+    np.testing.assert_array_equal(fewer.biases.bias, field_map.biases.bias[1:])
+
+
+def test_a_sensor_in_a_map_of_biased_sensors_may_be_as_biased_as_those(mapped):
+    known, config = KnownMap.of(mapped[0]), LocalizerConfig()
+    assert known.bias_sds(config) == (np.hypot(config.calibrated_bias_sd, mapped[0].biases.spread), config.bias_sd)
+
+
+def test_info_lists_each_logs_bias_in_microtesla():
+    found = SensorBiases(np.array([[1e-6, -2e-6, 3e-6]]), np.full((1, 3), 1e-7), 4e-6)
+    said = info_table(found.facts([Survey(np.zeros((1, 3)), np.zeros((1, 3)), name="monday.csv")]))
+    assert said.splitlines() == [
+        "sensor bias spread  4 uT",
+        "bias of monday.csv  1, -2, 3 uT (sd 0.1, 0.1, 0.1 uT)",
+    ]
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [{"bias": np.zeros((2, 2))}, {"sd": np.zeros((1, 3))}, {"bias": np.full((2, 3), np.nan)}, {"spread": -1.0}],
+)
+def test_biases_that_no_map_can_have_are_refused(rows):
+    with pytest.raises(ValueError, match="expected"):
+        replace(no_biases(2), **rows)
