@@ -267,7 +267,9 @@ def test_other_things_than_maps_and_logs_are_named(place):
 
 
 # A fine demand, stated at once.
-FINE = mm.LocalizerConfig(stands=0.0, decision={"prior_odds": 1 / 16, "max_sd_rotation": 0.16})
+FINE = mm.LocalizerConfig(
+    stands=0.0, decision={"prior_odds": 1 / 16, "max_sd_translation": None, "max_sd_rotation": 0.16}
+)
 
 
 def outing(place, seed, length):
