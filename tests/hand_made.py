@@ -119,6 +119,7 @@ class WeighedPose:
     log_evidence: float = 200.0
     misfit: float = 1.0
     kind: str = "map"
+    model: str = "rigid"
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     covariance: np.ndarray | None = field(default_factory=lambda: 1e-6 * np.eye(6))
     attainable: float = 300.0

@@ -83,7 +83,7 @@ def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
     near = cKDTree(path_model).query(raster.origin + raster.spacing * known, distance_upper_bound=radius)[0] < radius
     values = raster.values.copy()
     values[(*known[near].T, 3)] = -1.0
-    base = replace(index.base, raster=replace(raster, values=values))
+    base = replace(index.base, raster=raster._replace(values=values))
     table = tabulate_pairs(base, walks.length, walks.noise.total_sd, CONFIG.walks.search)
     return MapIndex(base, lambda: replace(walks, base=base, table=table))
 

@@ -169,7 +169,7 @@ def require_increasing(times: Scalars, thing: str = "sample") -> None:
 
 
 def found(value: Any) -> str:
-    """What a value is, in a few words.
+    """Say in a few words what a value is.
 
     Examples
     --------
@@ -185,7 +185,7 @@ def found(value: Any) -> str:
 
 
 def kind_of(value: Any) -> str:
-    """What a value is, for advice: 'path', 'array', 'list of' some class, or the name of its class."""
+    """Name the kind of a value for advice: 'path', 'array', 'list of' some class, or the name of its class."""
     if isinstance(value, str | os.PathLike):
         return "path"
     first = type(value[0]).__name__ if isinstance(value, list | tuple) and value else ""

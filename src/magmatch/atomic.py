@@ -18,7 +18,7 @@ CANNOT_FLUSH_FOLDERS = {errno.EINVAL, errno.ENOTSUP, errno.EACCES, errno.EBADF}
 
 
 def real_path(path: str | Path) -> Path:
-    """Where a path leads, links followed; links that lead in a circle are refused, and what is no path."""
+    """Follow the links of a path to their end; links that lead in a circle are refused, and what is no path."""
     if not isinstance(path, str | os.PathLike):
         from magmatch.arguments import expect_path  # its numerics are not waited for
 

@@ -148,7 +148,7 @@ class NoCollection(event.Listener):
 
 
 class FirstUse(event.Listener):
-    """What happens at loops that are not in the cache: a word why it takes longer, progress, and at the first, help.
+    """Loops that are not in the cache say why it takes longer, report progress, and at the first give help.
 
     Attributes
     ----------

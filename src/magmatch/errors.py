@@ -78,7 +78,7 @@ def import_extra(module: str, feature: str, extra: str, package: str = ".") -> M
 
 
 def first_fault(error: "ValidationError") -> tuple[str, str]:
-    """Where the first value stands that cannot be, and what was expected and found there."""
+    """Say where the first impossible value stands, and what was expected and found there."""
     first = error.errors(include_url=False)[0]
     place, kind = " ".join(".".join(map(str, first["loc"])).split())[:100], first["type"]
     if kind == "missing":

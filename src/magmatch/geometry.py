@@ -281,7 +281,7 @@ def path_walked(positions: Points) -> Scalars:
 
 
 def path_moved(positions: Points) -> Scalars:
-    """The same, without what jitter adds where somebody stands: (n,), m."""
+    """Give the length of the path, without what jitter adds where somebody stands: (n,), m."""
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     for first in range(0, len(steps), STOOD):
         begin = max(min(first, len(steps) - STOOD), 0)

@@ -144,7 +144,7 @@ def _next(finished: "Queue[Any]", client: Any) -> Any:
 
 
 def _result(task: Task, future: Any) -> Any:
-    """What a task gives, or what befell it in one line."""
+    """Give the result of a task, or what befell it in one line."""
     from distributed import CancelledError, KilledWorker
 
     name = task.name

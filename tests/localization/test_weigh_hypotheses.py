@@ -10,9 +10,9 @@ from scipy.spatial.transform import RigidTransform
 import magmatch as mm
 from magmatch.localization.measurement import FIT, STEP, follow
 from magmatch.localization.state import hypotheses, model_of
-from magmatch.localization.weigh_hypotheses import Toll, covariance_of, evidence, forget, weigh
+from magmatch.localization.weigh_hypotheses import OutsidePenalty, covariance_of, evidence, forget, weigh
 
-N, FREE = 24, Toll(0.0, 0)
+N, FREE = 24, OutsidePenalty(0.0, 0)
 
 
 def fits(rng, n_models, chi2):
@@ -67,7 +67,7 @@ def test_who_is_trusted_and_outside_the_map_forgets_nothing(known):
     steps, rng = np.zeros(N, STEP), np.random.default_rng(4)
     fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
     fit["chi2"][0], null["chi2"][0], fit["is_known"][-1] = 0.1, 20.0, 0
-    forget(steps, fit, null, known, Toll(0.0, 1, 1.0), bank)
+    forget(steps, fit, null, known, OutsidePenalty(0.0, 1, 1.0), bank)
     assert bank["earlier"][0] > 5
     assert bank["earlier"][1] == pytest.approx(1.0)
 
@@ -104,7 +104,8 @@ def test_a_way_outside_the_map_costs_no_more_than_coming_into_it(known):
     steps["u"][:, 0], null = 1.0, fits(rng, 3, 4.0)
     fit["is_known"][: N // 2] = 0
     inside, *usual = (
-        evidence(steps, fit, null, known, toll)[0] for toll in (FREE, Toll(0.1, 0, 5.0), Toll(3.0, 0, 5.0))
+        evidence(steps, fit, null, known, toll)[0]
+        for toll in (FREE, OutsidePenalty(0.1, 0, 5.0), OutsidePenalty(3.0, 0, 5.0))
     )
     np.testing.assert_allclose(inside - usual, [[0.1 * N / 2], [5.0]], atol=1e-9)
 
@@ -113,7 +114,7 @@ def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
     steps, rng = np.zeros(N, STEP), np.random.default_rng(7)
     fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
     bank["earlier"], fit["is_known"][-1] = 30.0, 0
-    forget(steps, fit, null, known, Toll(0.0, 1, 4.0), bank)
+    forget(steps, fit, null, known, OutsidePenalty(0.0, 1, 4.0), bank)
     assert bank["earlier"][0] > 20
     assert bank["earlier"][1] == pytest.approx(4.0)
 
@@ -138,7 +139,7 @@ def test_of_several_drifts_the_likeliest_is_capped_and_the_others_stay_behind(kn
     steps, null, bank = np.zeros(N, STEP), fits(np.random.default_rng(10), 3, 4.0), hypotheses(3)
     fit = np.repeat(fits(np.random.default_rng(11), 1, 3.0), 3, axis=1)
     bank["earlier"] = [7.0, 9.0, 1.0]
-    forget(steps, fit, null, known, Toll(0.0, 3, 4.0), bank)
+    forget(steps, fit, null, known, OutsidePenalty(0.0, 3, 4.0), bank)
     np.testing.assert_allclose(bank["earlier"] - bank["earlier"][1], [-2.0, 0.0, -4.0], atol=1e-9)
 
 

@@ -131,24 +131,22 @@ def test_a_clean_pair_is_registered_once(pair, base_map):
 @pytest.mark.parametrize(
     ("as_given", "calibrated", "taken"),
     [
-        ((True, 0.999), (True, 0.99), "calibrated"),
-        ((True, 0.99), (False, 0.999), "as given"),
-        ((False, 0.999), (True, 0.99), "calibrated"),
-        ((False, 0.3), (False, 0.2), "as given"),
-        ((False, 0.2), (False, 0.3), "calibrated"),
-        ((False, 0.2), (False, 0.2), "as given"),
-        ((False, None), (False, 0.1), "calibrated"),
-        ((False, 0.1), (False, None), "as given"),
-        ((False, None), (False, None), "as given"),
+        (30.0, 30.0, "calibrated"),
+        # The readings alone hold ten nats for a field that turns with the sensor.
+        (39.0, 30.0, "calibrated"),
+        (41.0, 30.0, "as given"),
+        (-5.0, -20.0, "as given"),
+        (None, -20.0, "calibrated"),
+        (30.0, None, "as given"),
+        (None, None, "as given"),
     ],
 )
-def test_which_of_two_answers_is_taken(pair, raw, as_given, calibrated, taken):
-    def answer(is_accepted, probability):
-        status = Status.ACCEPTED if is_accepted else Status.INCONSISTENT
-        return RegistrationResult(status, "", pair.T_base_target, probability=probability)
+def test_the_likelier_model_of_the_sensors_is_taken(pair, raw, as_given, calibrated, taken):
+    def answer(effective):
+        return RegistrationResult(Status.INCONSISTENT, "", pair.T_base_target, evidence={"effective": effective})
 
-    first, second = answer(*as_given), answer(*calibrated)
-    sides = {"target": Calibrated(raw[0], SensorCorrection(time_offset=0.01))}
+    first, second = answer(as_given), answer(calibrated)
+    sides = {"target": Calibrated(raw[0], SensorCorrection(time_offset=0.01), 10.0)}
     (chosen,) = better_supported((first,), (second,), sides)
     assert (chosen is first) == (taken == "as given")
     assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})

@@ -115,10 +115,14 @@ def test_what_a_target_bends_by_widens_the_answer_and_is_named_if_it_is_sure():
     answer = decided([shifted(0.0)], strategy=HandMadeStrategy(bent=sure))
     assert answer.is_accepted
     assert "drift" in answer.reason
-    np.testing.assert_allclose(answer.covariance[2, 2], 1e-4 + (0.6 * 0.03) ** 2, rtol=1e-9)
+    np.testing.assert_allclose(answer.covariance[2, 2], 1e-4 + sure.share * (0.6 * 0.03) ** 2, rtol=1e-9)
+    # By chance halves differ a little: this widens the answer as far as it is probable that the target bends.
     unbent = decided([shifted(0.0)], strategy=HandMadeStrategy(bent=chance))
     assert "drift" not in unbent.reason
-    np.testing.assert_allclose(unbent.covariance, 1e-4 * np.eye(6), atol=1e-12)
+    more = chance.probability * chance.share * (0.6 * 0.03) ** 2
+    np.testing.assert_allclose(unbent.covariance[2, 2], 1e-4 + more, rtol=1e-9)
+    # Evidence for the place is the rigid pose's: halves of a wrong pose differ, too.
+    assert answer.probability == unbent.probability == pytest.approx(decided([shifted(0.0)]).probability, abs=1e-15)
     far = decided([shifted(0.0)], strategy=HandMadeStrategy(bent=replace(sure, xi=20 * xi)))
     assert far.status is Status.DEGENERATE
     assert "drift" in far.reason
@@ -161,9 +165,9 @@ def test_a_pose_elsewhere_takes_its_share_and_prior_odds_theirs():
 
 def test_the_best_log_odds_of_a_pair_are_those_of_its_most_probable_pose():
     poses = [shifted(0.0, log_evidence=210.0, misfit=12.0), shifted(5.0), shifted(7.0, kind="walk", log_evidence=3.0)]
-    best = Weighed(HandMadeStrategy(), PAIR, FOUND, poses).best_log_odds
+    best = Weighed(HandMadeStrategy(), PAIR, FOUND, poses).best_log_odds(DecisionConfig())
     assert best == log_odds(200.0, 1.0, "map")
-    assert Weighed(HandMadeStrategy(), PAIR, FOUND, []).best_log_odds == -np.inf
+    assert Weighed(HandMadeStrategy(), PAIR, FOUND, []).best_log_odds(DecisionConfig()) == -np.inf
 
 
 def test_without_a_pose_nothing_is_settled_and_the_answer_is_a_result():

@@ -54,7 +54,7 @@ def drifting(walk: Survey, step: float, rng: np.random.Generator) -> tuple[list[
     return [write_sample(*row) for row in rows], p
 
 
-class Walker(threading.Thread):
+class BuildingWalker(threading.Thread):
     """A client that sends a sample when its time has come, and the next once it is answered."""
 
     def __init__(self, service, samples: list[bytes], rate: float) -> None:
@@ -96,7 +96,7 @@ def live(asked, targets: list, beside: list) -> None:
     begin = time.perf_counter()
     with TemporaryDirectory() as name, serving(asked.words[0], "--states", Path(name) / "states") as service:
         print(f"ready after {time.perf_counter() - begin:.1f} s; {memory(service)}")
-        others = [Walker(service, samples, 50.0) for samples in beside]
+        others = [BuildingWalker(service, samples, 50.0) for samples in beside]
         for one in others:
             one.start()
         time.sleep(SETTLE if others else 0.0)
@@ -120,9 +120,9 @@ def alone(known: KnownPlaces, samples: list[bytes], truth: np.ndarray) -> "Outco
     return outcome
 
 
-def follow(service, samples: list[bytes], truth: np.ndarray, others: list[Walker], rate: float) -> "Outcome":
+def follow(service, samples: list[bytes], truth: np.ndarray, others: list[BuildingWalker], rate: float) -> "Outcome":
     """Send one walk, and say how it went."""
-    one, before, begin = Walker(service, samples, rate), cpu_of(service), time.perf_counter()
+    one, before, begin = BuildingWalker(service, samples, rate), cpu_of(service), time.perf_counter()
     one.start()
     one.join()
     spent = sum(after - before.get(key, 0.0) for key, after in cpu_of(service).items())
@@ -172,7 +172,7 @@ def summary(what: str, outcomes: list[Outcome]) -> str:
     )
 
 
-def waits(walkers: list[Walker], since: float) -> str:
+def waits(walkers: list[BuildingWalker], since: float) -> str:
     """Median, 99 % and longest since then, ms."""
     some = [w for one in walkers for at, w in zip(one.sent, one.waits, strict=False) if at >= since]
     if not some:

@@ -47,7 +47,7 @@ N_LOGS, PAUSE, FAR = 50, 3.0, 1.0
 SERVICE, FOLLOWER, WORKER = "service", "follower of clients", "worker on logs"
 
 
-class Walker(threading.Thread):
+class SoakWalker(threading.Thread):
     """A client that sends one walk, and goes on after whatever happens."""
 
     def __init__(self, seed: int, hours: float, where: dict) -> None:
@@ -152,7 +152,7 @@ def main() -> None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         make_map(folder / "hall.map")
-        walkers = [Walker(seed, asked.hours / asked.clients, where) for seed in range(1, asked.clients + 1)]
+        walkers = [SoakWalker(seed, asked.hours / asked.clients, where) for seed in range(1, asked.clients + 1)]
         total, n_kills, killed = sum(len(w.log) for w in walkers), 0, Counter()
         poster = Poster(folder, where)
         memory = Memory(total)

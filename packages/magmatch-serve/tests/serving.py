@@ -24,7 +24,7 @@ READY = re.compile(rb"Serving .* at (http://\S+)")
 PATIENCE = 180.0
 
 
-class Service:
+class RunningService:
     """``magmatch serve`` with its words; ended with the block that `serving` opens."""
 
     def __init__(self, place, *options):
@@ -76,7 +76,7 @@ class Service:
 @contextmanager
 def serving(place, *options):
     """A service for the block."""
-    service = Service(place, *options)
+    service = RunningService(place, *options)
     try:
         yield service
     finally:

@@ -37,7 +37,7 @@ from magmatch_serve.refusals import RefusedError
 from magmatch_serve.serve import prepare_once
 
 
-class Clock:
+class FakeClock:
     def __init__(self):
         self.now = 0.0
 
@@ -46,7 +46,7 @@ class Clock:
 
 
 def test_an_allowance_gives_its_rate_and_no_more():
-    clock = Clock()
+    clock = FakeClock()
     one, taken = Allowance(10.0, 20.0, clock), 0
     for _ in range(1000):
         clock.now += 0.01
@@ -58,7 +58,7 @@ def test_an_allowance_gives_its_rate_and_no_more():
 
 
 def test_waiting_as_long_as_it_says_is_enough():
-    clock = Clock()
+    clock = FakeClock()
     one = Allowance(10.0, 5.0, clock)
     wait = [one.take(4) for _ in range(3)][-1]
     assert wait == pytest.approx(0.7)
@@ -67,7 +67,7 @@ def test_waiting_as_long_as_it_says_is_enough():
 
 
 def test_one_address_s_requests_cost_another_none_and_few_are_remembered():
-    clock = Clock()
+    clock = FakeClock()
     all_of_them = Allowances(60.0, most_known=3, clock=clock)
     assert [all_of_them.take("a") > 0 for _ in range(12)] == [False] * 10 + [True] * 2
     assert all_of_them.take("b") == 0
@@ -120,7 +120,7 @@ def test_two_services_do_not_share_states(tmp_path):
 
 
 def test_states_are_written_in_turn_each_as_often_as_it_shall_be(hall, tmp_path, monkeypatch):
-    clock, clients = Clock(), [f"{k:024x}" for k in range(4)]
+    clock, clients = FakeClock(), [f"{k:024x}" for k in range(4)]
     monkeypatch.setattr("magmatch_serve.bodies.tracker.monotonic", clock)
     (tmp_path / "states").mkdir()
     config = ServeConfig(states=tmp_path / "states", checkpoint_every=4.0)

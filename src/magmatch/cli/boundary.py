@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where errors end: each becomes one line on stderr and an exit code; a traceback only where asked for."""
+"""Errors end here: each becomes one line on stderr and an exit code; a traceback only where asked for."""
 
 import errno
 import os

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all subcommands share: examples in their help, common switches, and options for reading surveys."""
+"""All subcommands share this: examples in their help, common switches, and options for reading surveys."""
 
 import inspect
 from collections.abc import Callable, Sequence

@@ -93,7 +93,7 @@ def prepare(
 
 
 def parse_place(place: str | None, day: str | None) -> "Place | None":
-    """Where and when, if both are given."""
+    """Read place and date, if both are given."""
     from datetime import date
 
     from magmatch.preparation.earth_field import Place

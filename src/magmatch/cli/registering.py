@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `register` needs besides the library's function: compilation in advance, and timing."""
+"""`register` needs more than the library's function: compilation in advance, and timing."""
 
 from dataclasses import replace
 from time import perf_counter

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What `slam` and `merge` do with their session: write the folder, print a summary, and give the exit code."""
+"""`slam` and `merge` end alike: they write the folder, print a summary, and give the exit code."""
 
 import shlex
 from collections.abc import Sequence

@@ -96,7 +96,7 @@ class Found:
     mount: Rotation | None = None  # takes the sensor's axes to those of the orientations, where no permutation does
 
     def without(self, worse: Collection[FrameMistake]) -> "Found":
-        """Without some of the hypotheses."""
+        """Leave out some of the hypotheses."""
         return replace(self, hypotheses=tuple(one for one in self.hypotheses if one not in worse))
 
 
@@ -314,7 +314,7 @@ def _neighbours(points: Points) -> tuple[Indices, Indices]:
 
 
 def _grams(one: Turned, near: tuple[Indices, Indices]) -> tuple[tuple[_Gram, _Gram], Matrix]:
-    """Without and with the best constant of the sensor subtracted; and what is constant in the survey's frame.
+    """Subtract nothing, or the best constant of the sensor; and give what is constant in the survey's frame.
 
     The latter is apart from a constant in the sensor's axes. Along what the sensor does not turn about: about that,
     the two cannot be told apart.

@@ -24,7 +24,7 @@ DEFAULT_POINTS, MAX_POINTS = 100_000, 20_000_000
 
 
 class Mapped(Protocol):
-    """What is asked of a map."""
+    """The quantities that a map is asked for."""
 
     @property
     def survey(self) -> Survey:
@@ -55,7 +55,7 @@ class MapGrid:
     is_known: np.ndarray  # (nx, ny, nz): where the map has data nearby
 
     def values(self) -> dict[str, np.ndarray]:
-        """What VTK and NetCDF hold, by name."""
+        """Give the values that VTK and NetCDF hold, by name."""
         magnitude = np.linalg.norm(self.field, axis=-1)
         return {"field": self.field, "sd": self.sd, "magnitude": magnitude, "known": self.is_known.astype(np.float64)}
 

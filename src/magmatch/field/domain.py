@@ -56,55 +56,55 @@ class Box:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoundedPosterior:
-    """A posterior within a box; fills `magmatch.field.linear_model.Posterior`."""
+    """A posterior within a box; fills `magmatch.field.linear_model.FieldPosterior`."""
 
     inner: FieldPosterior
     box: Box
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """Of the inner model."""
+        """The hyperparameters of the inner model."""
         return self.inner.hyperparameters
 
     @property
     def weights(self) -> Scalars:
-        """Of the inner model."""
+        """The weights of the inner model."""
         return self.inner.weights
 
     @property
     def weights_by_tile(self) -> Mapping[Index, Scalars]:
-        """Of the inner model."""
+        """The weights of the inner model, by tile."""
         return self.inner.weights_by_tile
 
     def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
-        """See `Posterior.evaluate`."""
+        """See `FieldPosterior.evaluate`."""
         return self.inner.evaluate(self._or_nowhere(points), order, weights)
 
     def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """See `Posterior.evaluate_on_grid`; point by point where the grid leaves the box."""
+        """See `FieldPosterior.evaluate_on_grid`; point by point where the grid leaves the box."""
         points = spanned_points(axes)
         if self.box.contains(points).all():
             return self.inner.evaluate_on_grid(axes, order)
         return self.evaluate(points, order)
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
-        """See `Posterior.covariance`."""
+        """See `FieldPosterior.covariance`."""
         return self.inner.covariance(self._or_nowhere(points), order)
 
     def influence(self, points: Points) -> np.ndarray:
-        """See `Posterior.influence`: samples outside the box inform what lies inside."""
+        """See `FieldPosterior.influence`: samples outside the box inform what lies inside."""
         return self.inner.influence(points)
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Iterable[Any]:
-        """See `Posterior.draw_weights`."""
+        """See `FieldPosterior.draw_weights`."""
         return self.inner.draw_weights(n_draws, rng)
 
     def without_factors(self) -> FieldPosterior:
-        """See `Posterior.without_factors`."""
+        """See `FieldPosterior.without_factors`."""
         return replace(self, inner=self.inner.without_factors())
 
     def knows(self, points: Points) -> Mask:
-        """See `Posterior.knows`."""
+        """See `FieldPosterior.knows`."""
         known: Mask = self.inner.knows(points) & self.box.contains(points)
         return known
 

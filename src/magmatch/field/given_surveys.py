@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a map is to be made of: one survey, or several that share a frame."""
+"""A map is made of one survey, or of several that share a frame."""
 
 from collections.abc import Sequence
 from typing import cast

@@ -46,7 +46,7 @@ class Hyperparameters:
             raise ValueError(msg)
 
     def with_noise(self, noise_sd: float) -> Self:
-        """The same map of the same samples, with another statement of their noise."""
+        """Give the same map of the same samples another statement of their noise."""
         return replace(self, noise_sd=noise_sd, prior_scale=self.prior_scale * noise_sd / self.noise_sd)
 
     def as_dict(self) -> dict[str, float]:

@@ -89,7 +89,7 @@ class FieldPosterior(Protocol):
         """The mean alone, where many are kept: draws and covariances can no longer be asked for."""
 
     def knows(self, points: Points) -> Mask:
-        """Where the model has basis functions informed by data; elsewhere it falls back to the prior."""
+        """Say where the model has basis functions informed by data; elsewhere it falls back to the prior."""
 
 
 # Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and at how

@@ -45,7 +45,7 @@ class FieldMap:
     ----------
     survey : Survey
         The samples the map was made from, map frame.
-    posterior : Posterior
+    posterior : FieldPosterior
         The fitted model, in its own frame (principal axes of the survey).
     T_map_model : RigidTransform
         Takes model coordinates to map coordinates.
@@ -337,7 +337,7 @@ class FieldMap:
         return loaded
 
     def _tiles(self) -> dict[Index, StoredTile]:
-        """What to store of the fit, so that it need not be done again."""
+        """Give what is stored of the fit, so that it need not be done again."""
         fitted = self._fitted()
         return tiles_to_store(self.posterior, fitted.positions, fitted.field)
 

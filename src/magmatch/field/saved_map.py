@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a saved map holds: its surveys, the numbers of its prior, and the fitted weights, tile by tile.
+"""A saved map holds its surveys, the hyperparameters of its prior, and the fitted weights, tile by tile.
 
 Weights of splines are stored with a fingerprint of the samples they follow from, and are used as they are: loading
 fits nothing. Whatever needs more than the mean (covariance, draws) factorises the tile it falls into again from its

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a body is in a known map, sample by sample, from an unknown start."""
+"""A body is found in a known map, sample by sample, from an unknown start."""

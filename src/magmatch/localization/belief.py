@@ -16,7 +16,7 @@ from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.start.search import search
 from magmatch.localization.state import BIAS, hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import (
-    Toll,
+    OutsidePenalty,
     WeighedHypothesis,
     covariance_of,
     end_of_agreement,
@@ -28,7 +28,7 @@ from magmatch.localization.weigh_hypotheses import (
 )
 from magmatch.registration.decide.decision import in_words, too_low
 from magmatch.registration.decide.estimate import worst_sd
-from magmatch.registration.decide.posterior import Posterior, log_odds, posterior_of
+from magmatch.registration.decide.posterior import Answer, Posterior, log_odds, posterior_of
 from magmatch.typing import Matrix
 
 # Length of a bin in field lengths: short against the field's changes, long against noise.
@@ -94,7 +94,7 @@ class Belief:
         """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
         window = self._window
         if self._since == 0:
-            forget(*self._parts(), self._known, self._toll, self._bank)
+            forget(*self._parts(), self._known, self._penalty, self._bank)
         window.forget_first()
         self._since = max(self._since - 1, 0)
 
@@ -104,10 +104,10 @@ class Belief:
         return -float(np.log(self._config.end_probability))
 
     @property
-    def _toll(self) -> Toll:
+    def _penalty(self) -> OutsidePenalty:
         """A place that stands may leave the map; others come into it as seldom as a track is lost."""
         n_free = len(self._weighed[0].rows) if self.is_sure and self._stands() else 0
-        return Toll(self._config.price_outside / self._known.length, n_free, self._most_earlier)
+        return OutsidePenalty(self._config.price_outside / self._known.length, n_free, self._most_earlier)
 
     def is_doubtful(self) -> bool:
         """Whether the trusted hypothesis is contradicted by the latest bins."""
@@ -123,7 +123,7 @@ class Belief:
     def doubt(self) -> None:
         """Trust no hypothesis; from now on, evidence counts only from where the contradiction began."""
         window, recent = self._window, len(self._trail)
-        # Of a body outside the map nothing was forgotten.
+        # Nothing was forgotten of a body outside the map.
         self._bank["earlier"] = np.minimum(self._bank["earlier"], self._most_earlier)
         last = max(len(window) - recent, 0)
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
@@ -142,7 +142,7 @@ class Belief:
             follow(one, self._known, self._model, window.steps[-back:], fared[-back:], moves_first=True)
             bank, fit = np.concatenate([bank, one]), np.concatenate([fit, fared], axis=1)
         steps, _, null = self._parts(self._since)
-        gained, *_ = evidence(steps, fit[self._since :], null, self._known, self._toll)
+        gained, *_ = evidence(steps, fit[self._since :], null, self._known, self._penalty)
         best = np.argsort(-gained, kind="stable")[:1]
         return bank[best], np.ascontiguousarray(fit[:, best])
 
@@ -167,7 +167,7 @@ class Belief:
     def weigh(self) -> float:
         """Weigh all hypotheses and keep distinct ones, most likely first; returns the log odds of all, nats."""
         same = self._config.same(self._known.length)
-        weighed = weigh(self._bank, *self._parts(self._since), self._known, self._toll, same)
+        weighed = weigh(self._bank, *self._parts(self._since), self._known, self._penalty, same)
         odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
@@ -185,7 +185,7 @@ class Belief:
     def judge(self, elsewhere: float) -> None:
         """Trust the most likely hypothesis if it is probable enough, given those of other maps (log odds)."""
         decision = self._config.decision
-        self._found = posterior_of(self._weighed, decision.prior_odds, elsewhere)
+        self._found = posterior_of([Answer.of([w]) for w in self._weighed], decision.prior_odds, elsewhere)
         self._words = f"probability {in_words(self._found.best)}"
         is_known = self._is_place_known()
         off = self._too_uncertain() if is_known else ""

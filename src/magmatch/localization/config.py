@@ -52,7 +52,7 @@ class LocalizerConfig(Settings):
         )
     )
     # Two hypotheses that differ by less are one answer, as in a registration, whose heading moves more points than a
-    # body's. A coarser pose will do does not make two places one.
+    # body's. That a coarser pose would do does not make two places one.
     same_rotation: float = Field(default=RIGHT_WITHIN * 0.16, gt=0)
 
     def same(self, length: float) -> tuple[float, float]:

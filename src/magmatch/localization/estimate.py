@@ -21,7 +21,7 @@ class LocalizerStatus(StrEnum):
 
 
 def phase(status: LocalizerStatus, *, is_place_known: bool) -> str:
-    """What a part of a log is called: that the place is known is one thing, how well the pose is known another."""
+    """Name a part of a log: that the place is known is one thing, how well the pose is known another."""
     if is_place_known and status in {LocalizerStatus.SEARCHING, LocalizerStatus.LOST}:
         return "place known, pose too uncertain"
     return status.replace("_", " ")
@@ -29,7 +29,7 @@ def phase(status: LocalizerStatus, *, is_place_known: bool) -> str:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseHypothesis:
-    """Where the body may be: name of the map, ``T_map_body`` and how probable that is."""
+    """A pose that the body may have: name of the map, ``T_map_body`` and its probability."""
 
     map: str
     T_map_body: RigidTransform
@@ -38,13 +38,13 @@ class PoseHypothesis:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseEstimate:
-    """Where the body is.
+    """The pose of the body, and how well it is known.
 
     Attributes
     ----------
     status : LocalizerStatus
     reason : str
-        In words, why.
+        The reason of the status, in words.
     matrix : (4, 4) array or None
         Of ``T_map_body``, the map's frame from the body's; None unless localized or dead reckoning.
     covariance : (6, 6) array or None

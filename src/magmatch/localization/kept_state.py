@@ -17,11 +17,11 @@ from magmatch.localization.localizer import Localizer
 from magmatch.localization.measurement import LatestBins
 from magmatch.localization.samples import LastSample
 from magmatch.localization.weigh_hypotheses import WeighedHypothesis
-from magmatch.registration.decide.posterior import Posterior
+from magmatch.registration.decide.posterior import Answer, Posterior
 
 # What a state may consist of, and changes with.
-SCHEMA = "magmatch.localizer/5"
-KINDS = (Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
+SCHEMA = "magmatch.localizer/6"
+KINDS = (Bin, Binning, Answer, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "_start"}
 

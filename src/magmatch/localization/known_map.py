@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What localisation needs of one map, computed once, in the map's model frame."""
+"""Localisation needs this of one map, computed once, in the map's model frame."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -33,7 +33,7 @@ class Ground(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Where poses in the model frame lie in the map, as compiled loops take it."""
+    """The place of the model frame in the map, as compiled loops take it."""
 
     T_map_model: Matrix  # (4, 4)
     up: Vector3  # the map's z, model frame

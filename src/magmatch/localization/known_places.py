@@ -45,7 +45,7 @@ class KnownPlaces:
 
     @property
     def entries(self) -> Sequence[AtlasEntry | None]:
-        """Of an atlas; None for a single map."""
+        """The entries of an atlas; None for a single map."""
         return (None,) if self.atlas is None else self.atlas.entries
 
     def fingerprint(self, entry: AtlasEntry | None) -> str:

@@ -46,7 +46,7 @@ class LikelyMaps:
 
     @property
     def best(self) -> Belief | None:
-        """That in the likeliest map; None before any was voted for."""
+        """The belief in the likeliest map; None before any was voted for."""
         return max(self.likely.values(), key=lambda belief: (belief.is_sure, belief.log_odds), default=None)
 
     def follow(self, done: Bin) -> Sequence[Belief]:
@@ -85,7 +85,7 @@ class LikelyMaps:
             )
 
     def probabilities(self) -> dict[str, float]:
-        """That the body is in each of the likely maps, most likely first; what is left is that it is in none."""
+        """Give the probability of each likely map, most likely first; what is left is that the body is in none."""
         ranked = sorted(self.likely.values(), key=lambda belief: -belief.total_odds)
         terms = np.array([*(belief.total_odds for belief in ranked), -np.log(self._config.decision.prior_odds)])
         shares = np.exp(terms - np.logaddexp.reduce(terms)).tolist()

@@ -8,14 +8,14 @@ from magmatch.compiled import inlined
 
 @inlined
 def transition(v):  # type: ignore[no-untyped-def]
-    """By how much value and slope depend on both a path of rate times length v before: f00, f01, f10, f11."""
+    """Give how value and slope depend on both a path of rate times length v before: f00, f01, f10, f11."""
     e = np.exp(-v)
     return e * (1 + v), e * v, -e * v, e * (1 - v)
 
 
 @inlined
 def transition_of(is_smooth, x):  # type: ignore[no-untyped-def]
-    """The same after so many lengthscales; of an Ornstein-Uhlenbeck process, which has no slope, if it is rough."""
+    """Give the transition over so many lengthscales; a rough one is Ornstein-Uhlenbeck, without slope."""
     if is_smooth:
         return transition(np.sqrt(3.0) * x)
     return np.exp(-x), 0.0, 0.0, 0.0

@@ -46,7 +46,7 @@ class LatestBins:
 
     @classmethod
     def of(cls, n_null: int) -> "LatestBins":
-        """No bin yet."""
+        """Begin without a bin."""
         return cls(np.zeros(0, STEP), np.zeros((0, 0), FIT), np.zeros((0, n_null), FIT))
 
     def __len__(self) -> int:
@@ -59,12 +59,12 @@ class LatestBins:
 
     @property
     def fit(self) -> np.ndarray:
-        """How well hypotheses predicted the bins."""
+        """The FIT of hypotheses to the bins."""
         return self._fit[self._first : self._end]
 
     @property
     def null(self) -> np.ndarray:
-        """How well unrelated fields predicted the bins."""
+        """The FIT of unrelated fields to the bins."""
         return self._null[self._first : self._end]
 
     def add(self, b: Bin) -> None:
@@ -83,25 +83,25 @@ class LatestBins:
         self._end += 1
 
     def trimmed(self) -> "LatestBins":
-        """The same without room for more."""
+        """Give back the room for more."""
         return LatestBins(self.steps, self.fit, self.null, 0, len(self))
 
     def forget_first(self) -> None:
-        """Of all bins the oldest."""
+        """Forget the oldest of all bins."""
         self._first += 1
 
     def keep(self, rows: list[int]) -> None:
-        """Some hypotheses."""
+        """Keep some hypotheses."""
         self._fit = np.ascontiguousarray(self._fit[:, rows])
 
     def join(self, fit: np.ndarray) -> None:
-        """More hypotheses, which fared so in the last bins."""
+        """Join more hypotheses, which fared so in the last bins."""
         before = np.zeros((self._end - len(fit), fit.shape[1]), FIT)
         after = np.zeros((len(self._steps) - self._end, fit.shape[1]), FIT)
         self._fit = np.concatenate([self._fit, np.concatenate([before, fit, after])], axis=1)
 
     def weigh_against(self, null: np.ndarray) -> None:
-        """Other unrelated fields, (n, c)."""
+        """Weigh against other unrelated fields, (n, c)."""
         self._null = np.zeros((len(self._steps), null.shape[1]), FIT)
         self.null[:] = null
 

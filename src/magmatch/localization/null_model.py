@@ -123,7 +123,7 @@ def _compare(one, b, RM, PH, S, r):  # type: ignore[no-untyped-def]
 
 @compiled
 def _predict(one, d, dt, model):  # type: ignore[no-untyped-def]
-    """Along d metres of path; the slope is in units of the field, times the rate."""
+    """Predict along d metres of path; the slope is in units of the field, times the rate."""
     x, P, variance, fade = one.x, one.P, one.variance, np.exp(-d / model.misfit_length)
     f00, f01, f10, f11 = transition(one.rate * d)
     for a in range(3):

@@ -20,7 +20,7 @@ LEAST_TOLD = 0.001
 
 
 class LocalizationStatus(StrEnum):
-    """What is known at the end of the log."""
+    """The state of knowledge at the end of the log."""
 
     LOCALIZED = "localized"  # its last pose is stated
     LOST = "lost"  # some poses are stated, the last is not
@@ -130,7 +130,7 @@ class LocalizationResult(TypedDocument):
 
     @property
     def share_in_words(self) -> str:
-        """For how much of the time a pose is stated, and how accurate those poses are."""
+        """Say for how much of the time a pose is stated, and how accurate those poses are."""
         if not self.sd:
             return f"a pose for {self.share:.0%} of the time"
         _, shift, turn = np.array(self.sd).T

@@ -44,7 +44,7 @@ class LastSample:
 
     @property
     def T_odom_body(self) -> Matrix:
-        """Where the body was then, in an odometry's frame without jumps."""
+        """The pose of the body at that time, in an odometry's frame without jumps."""
         T: Matrix = self.last["T"][0]
         return T
 

@@ -80,14 +80,14 @@ def model_of(known: KnownMap, config: LocalizerConfig) -> Model:
 
 
 def hypotheses(n: int) -> np.ndarray:
-    """A bank of n, all at the model's origin."""
+    """Make a bank of n, all at the model's origin."""
     bank = np.zeros(n, HYPOTHESIS)
     bank["R"], bank["P"], bank["drift"] = np.eye(3), np.eye(N), 1.0
     return bank
 
 
 def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConfig) -> Matrix:
-    """Of poses from a search, known to sd (m, rad); the bias is left at 0."""
+    """Give the covariance of poses from a search, known to sd (m, rad); the bias is left at 0."""
     vertical = np.outer(up, up)
     level = np.eye(3) - vertical
     tilt = UPRIGHT_SD if config.is_gravity_aligned else sd[1]

@@ -37,7 +37,7 @@ class Track:
     log : Survey
     maps : tuple of FieldMap
         The map; of an atlas, those in which a pose is stated.
-    estimates : sequence of Estimate
+    estimates : sequence of PoseEstimate
         One for each of the log's poses: with hindsight, or as it was known then.
     config : LocalizerConfig
     seconds : dict
@@ -60,7 +60,7 @@ class Track:
 
     @property
     def is_stated(self) -> Mask:
-        """Where a pose is stated, (n,)."""
+        """Whether a pose is stated, (n,)."""
         return np.array([e.is_stated for e in self.estimates], dtype=np.bool_)
 
     @property
@@ -108,7 +108,7 @@ class Track:
         return (self.poses[nth_stated[last[rows]]] * moves)[is_step], odometry.times[rows][is_step]
 
     def result(self) -> LocalizationResult:
-        """What was found, as a document."""
+        """Give the findings as a document."""
         times, is_stated, last = self.log.times, self.is_stated, self.estimates[-1]
         assert times is not None
         wrong = [] if is_stated.any() else diagnose(self.log)

@@ -14,7 +14,7 @@ from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
 
-# What is said of a hypothesis: the fields of an `Estimate`; T is T_map_body.
+# The statement of a hypothesis: the fields of a `PoseEstimate`; T is T_map_body.
 STATED = np.dtype(
     [
         ("T", "f8", (4, 4)), ("covariance", "f8", (6, 6)), ("bias", "f8", 3), ("bias_sd", "f8", 3),
@@ -33,6 +33,7 @@ class WeighedHypothesis:
     misfit: float
     factor: float
     kind: Kind = "log"
+    model: str = "follows the log"
 
     @property
     def T_base_target(self) -> RigidTransform:
@@ -60,7 +61,7 @@ class WeighedHypothesis:
         return 1.0
 
 
-class Toll(NamedTuple):
+class OutsidePenalty(NamedTuple):
     """Penalty per metre outside the map, how many of the first hypotheses are exempt from it, and the most (nats).
 
     No more than that is kept of earlier evidence either.
@@ -72,18 +73,18 @@ class Toll(NamedTuple):
 
 
 def evidence(
-    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll
+    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, penalty: OutsidePenalty
 ) -> tuple[Scalars, Scalars, Scalars]:
     """Evidence of each hypothesis over unrelated fields (nats), its covariance's factor, and its misfit beyond that.
 
     ``fit`` (n, k) and ``null`` (n, c) are FIT of hypotheses and of unrelated fields at the same steps.
     """
-    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(steps, fit, null, toll, *known.log_factors)
+    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(steps, fit, null, penalty, *known.log_factors)
     return found
 
 
 @compiled
-def _weigh_all(steps, fit, null, toll, log_factors, log_priors):  # type: ignore[no-untyped-def]
+def _weigh_all(steps, fit, null, penalty, log_factors, log_priors):  # type: ignore[no-untyped-def]
     n_hypotheses, inverse = fit.shape[1], np.exp(-log_factors)
     gained, factor, misfit = np.zeros(n_hypotheses), np.zeros(n_hypotheses), np.zeros(n_hypotheses)
     for k in range(n_hypotheses):
@@ -94,8 +95,8 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors):  # type: ignore
                 own += one.chi2
                 own_det += one.half_log_det
                 n += 3
-            elif one.is_seen and k >= toll.n_free:
-                paid += toll.per_metre * np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+            elif one.is_seen and k >= penalty.n_free:
+                paid += penalty.per_metre * np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
         unrelated = -np.inf
         for c in range(null.shape[1]):
             total, det = 0.0, 0.0
@@ -107,7 +108,7 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors):  # type: ignore
             unrelated = np.logaddexp(unrelated, one_field)
         unrelated -= np.log(null.shape[1])
         likelihood, best = _average(own, n, log_factors, inverse, log_priors)
-        gained[k] = likelihood - own_det - unrelated - min(paid, toll.most)
+        gained[k] = likelihood - own_det - unrelated - min(paid, penalty.most)
         factor[k] = np.exp(log_factors[best])
         # The covariance's factor is averaged over: what it explains is not to count again.
         misfit[k] = np.sqrt(own / factor[k] / max(n, 1))
@@ -115,19 +116,19 @@ def _weigh_all(steps, fit, null, toll, log_factors, log_priors):  # type: ignore
 
 
 def forget(
-    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll, bank: np.ndarray
+    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, penalty: OutsidePenalty, bank: np.ndarray
 ) -> None:
     """Move what each hypothesis gained by the first bin to earlier evidence, up to the most unless it is free."""
-    gained, rest = (evidence(steps[k:], fit[k:], null[k:], known, toll)[0] for k in (0, 1))
+    gained, rest = (evidence(steps[k:], fit[k:], null[k:], known, penalty)[0] for k in (0, 1))
     # A body that may leave the map and is outside forgets nothing, and nothing of that when it comes back.
-    is_free, is_outside = np.arange(len(bank)) < toll.n_free, fit[-1]["is_known"] == 0
-    limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(toll.most, bank["earlier"])), toll.most)
+    is_free, is_outside = np.arange(len(bank)) < penalty.n_free, fit[-1]["is_known"] == 0
+    limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(penalty.most, bank["earlier"])), penalty.most)
     kept = np.minimum(bank["earlier"] + gained - rest, limit)
     # Of one place under several drifts the likeliest is capped, and the others stay as much behind; not more than
     # by these odds, since odometry may come to drift otherwise as seldom as a track is lost.
-    free, before = slice(toll.n_free), (bank["earlier"] + gained - rest)[: toll.n_free]
+    free, before = slice(penalty.n_free), (bank["earlier"] + gained - rest)[: penalty.n_free]
     if len(before) > 1:
-        kept[free] = kept[int(np.argmax(before))] + np.maximum(before - before.max(), -toll.most)
+        kept[free] = kept[int(np.argmax(before))] + np.maximum(before - before.max(), -penalty.most)
     bank["earlier"] = kept
 
 
@@ -148,7 +149,7 @@ def _average(chi2, n, log_factors, inverse, log_priors):  # type: ignore[no-unty
 
 
 def weigh(
-    bank: np.ndarray, steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, toll: Toll,
+    bank: np.ndarray, steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, penalty: OutsidePenalty,
     tolerance: tuple[float, float],
 ) -> list[WeighedHypothesis]:  # fmt: skip
     """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`.
@@ -156,7 +157,7 @@ def weigh(
     A pose under several drifts of the odometry is one answer, whose evidence is the sum over these: it includes their
     prior probabilities.
     """
-    gained, factor, misfit = evidence(steps, fit, null, known, toll)
+    gained, factor, misfit = evidence(steps, fit, null, known, penalty)
     gained += bank["earlier"]
     return [
         WeighedHypothesis(
@@ -188,7 +189,7 @@ def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float])
 
 def is_doubtful(steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, prior_odds: float) -> bool:
     """Whether bins of a hypothesis (n, 1), of some odds before, look more like an unrelated field."""
-    gained, _, misfit = evidence(steps, fit, null, known, Toll(0.0, 1))
+    gained, _, misfit = evidence(steps, fit, null, known, OutsidePenalty(0.0, 1))
     return bool(log_odds(float(gained[0]), float(misfit[0]), "log") < -np.log(prior_odds))
 
 
@@ -201,14 +202,14 @@ def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
 
 
 def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
-    """Of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes; how the map's own poses may be off is part of it."""
+    """Give the covariance of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes, the map's own poses' included."""
     C = np.empty((6, 6))
     _covariance(one, known.frame.bent, _factor(known, factor), C)
     return C
 
 
 def _factor(known: KnownMap, factor: float) -> float:
-    """Of a pose's covariance, from that of the readings: its root, as odometry's noise is not scaled with them."""
+    """Give a pose's factor from that of the readings: its root, as odometry's noise is not scaled with them."""
     return float(np.sqrt(max(factor, 0.0 if known.noise.is_learned else 1.0)))
 
 
@@ -230,7 +231,7 @@ def _covariance(bank, bent, factor, C):  # type: ignore[no-untyped-def]
 def stated(
     one: np.ndarray, last: np.ndarray, T_odom_body: Matrix, known: KnownMap, model: Model, factor: float
 ) -> np.ndarray:
-    """What is said of a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
+    """State a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
     said = np.zeros(1, STATED)
     _state(one, last, T_odom_body, known.frame, _factor(known, factor), model, said)
     return said

@@ -46,7 +46,7 @@ def prepare(
         Other channels of the log, such as motor currents, one value per sample.
     place : Place, optional
         Where and when, for the check against the Earth's field.
-    sensor : SensorModel, optional
+    sensor : SensorCorrection, optional
         Known correction of the sensor, for example from another log's report; applied first, without its clock.
     progress : callable, optional
         Called with the current step and the fraction done; see `magmatch.progress`.

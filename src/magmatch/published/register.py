@@ -59,7 +59,7 @@ class Matcher(Protocol):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Published:
-    """What the published method found, with everything that led to it.
+    """The findings of the published method, with everything that led to them.
 
     Attributes
     ----------

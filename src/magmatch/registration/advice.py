@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What to try if two surveys do not seem to match: the most likely remedy first."""
+"""Two surveys do not seem to match: the most likely remedy is named first."""
 
 import re
 from collections.abc import Mapping

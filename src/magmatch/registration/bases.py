@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a target may lie: in one map, or in one of many (`Atlas`)."""
+"""A target may lie in one map, or in one of many (`Atlas`)."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -38,7 +38,7 @@ class Bases(Protocol):
         """A map with what was prepared of it."""
 
     def name_of(self, one: Any, /) -> str | None:
-        """What a result calls a map; None where there is but one, which needs no name."""
+        """Give the name of a map in a result; None where there is but one, which needs no name."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

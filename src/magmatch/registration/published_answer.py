@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the published method found, stated as a registration's result: no covariance, no probability."""
+"""The published method's findings are stated as a registration's result: no covariance, no probability."""
 
 from collections.abc import Sequence
 from dataclasses import replace

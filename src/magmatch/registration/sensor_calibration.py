@@ -14,7 +14,7 @@ from magmatch.errors import MagmatchError
 from magmatch.field.map import FieldMap
 from magmatch.preparation.config import DisturbancesConfig, PreparationConfig
 from magmatch.preparation.sensor_model import SensorCorrection
-from magmatch.preparation.sensor_trace import turns_with_sensor
+from magmatch.preparation.sensor_trace import MIN_EVIDENCE, offset_evidence
 from magmatch.progress import tell
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.maps import map_of
@@ -43,6 +43,7 @@ class Calibrated:
 
     survey: Survey
     sensor: SensorCorrection  # the correction
+    evidence: float  # nats: of the readings alone, for a field that turns with the sensor
 
     def as_dict(self) -> Calibration:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
@@ -120,19 +121,18 @@ def calibrate_sensors(
 
 
 def better_supported(as_given: Answered, calibrated: Answered | None, sides: Mapping[str, Calibrated]) -> Answered:
-    """Choose between two answers: an accepted one before a refusal, and the calibrated one if both are accepted.
+    """Choose the likelier of two models, sensors as they are stated and sensors as they were calibrated.
 
-    Of two refusals the more probable. The second is None if calibration failed, and says which sides were corrected.
+    Against the first counts what the readings alone say for a field that turns with the sensor: such a field is not
+    that of the place, however well it agrees. The second is None if calibration failed.
     """
     if calibrated is None:
         return as_given
-    first, second = as_given[-1], calibrated[-1]
-    if first.is_accepted or second.is_accepted:
-        # A field that turns with the sensor is not that of the place, however well it agrees.
-        is_better = second.is_accepted
-    else:
-        is_better = (second.probability or 0.0) > (first.probability or 0.0)
-    if not is_better:
+    second = calibrated[-1]
+    first_evidence, second_evidence = (answer[-1].evidence.get("effective") for answer in (as_given, calibrated))
+    if second_evidence is None:
+        return as_given
+    if first_evidence is not None and first_evidence - sum(s.evidence for s in sides.values()) >= second_evidence:
         return as_given
     stated = {name: side.as_dict() for name, side in sides.items()}
     answer = replace(second, sensor=(second.sensor or Sensor()) | Sensor(calibrated=stated))
@@ -148,14 +148,15 @@ def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
     """
     if field_map.parts or field_map.config.domain is not None:
         return None
-    if not turns_with_sensor(field_map.survey, field_map.hyperparameters):
+    evidence = offset_evidence(field_map.survey, field_map.hyperparameters)
+    if evidence < MIN_EVIDENCE:
         return None
     # Imported only when needed: the import is slow.
     from magmatch.preparation.prepare import prepare
 
     log.info("%s: its readings turn with the sensor, which is calibrated", survey.name)
     done = attempted(prepare, survey, SETTINGS)
-    return None if done is None or done[1].sensor.is_identity else Calibrated(done[0], done[1].sensor)
+    return None if done is None or done[1].sensor.is_identity else Calibrated(done[0], done[1].sensor, evidence)
 
 
 def attempted(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:

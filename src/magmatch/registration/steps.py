@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The algorithm: map; then for each strategy let maps vote, prepare, search, refine and weigh; settle, decide."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -15,8 +16,9 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide
-from magmatch.registration.decide.posterior import posterior_over
-from magmatch.registration.find_drift import naming_drift
+from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.posterior import Answer, posterior_of
+from magmatch.registration.decide.support import Support
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.maps import as_map, map_base, map_of
@@ -25,6 +27,7 @@ from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult
 from magmatch.registration.strategies import strategies
 from magmatch.registration.strategy import Among, Pair, Strategy, Weighed
+from magmatch.registration.weigh.bend import Bend
 
 Target = Survey | FieldMap
 Base = Target | MapIndex | Atlas
@@ -60,14 +63,14 @@ def register_once(
         likely = _likely(bases, strategy, clock) if best is None else [best]
         for one in likely:
             look = weigh(bases, one, likely, strategy, given, clock)
-            weighed[one] = max(look, weighed.get(one, look), key=lambda each: each.best_log_odds)
+            weighed[one] = max(
+                look, weighed.get(one, look), key=lambda each: each.best_log_odds(bases.config.decision)
+            )
         best, answer = decide_among(bases, weighed, clock)
         if answer.is_accepted:
             break
     assert answer is not None  # there is always a strategy
-    index = bases.load(best)
-    with clock("decide"):
-        return index, weighed[best].strategy.target, naming_drift(answer, index, samples, config)
+    return bases.load(best), weighed[best].strategy.target, answer
 
 
 def _likely(bases: Bases, strategy: Strategy[Any, Any, Any], clock: Clock) -> list[Any]:
@@ -111,7 +114,7 @@ def decide_among(
     bases: Bases, weighed: dict[Any, Weighed[Any, Any, Any]], clock: Clock
 ) -> tuple[Any, RegistrationResult]:
     """Decide on the best pose of all maps; a refusal shows the best pose in each other map, too."""
-    odds = {one: found.best_log_odds for one, found in weighed.items()}
+    odds = {one: found.best_log_odds(bases.config.decision) for one, found in weighed.items()}
     best, *others = sorted(weighed, key=lambda one: -odds[one])
 
     def answer_in(one: Any) -> RegistrationResult:
@@ -128,29 +131,57 @@ def decide_among(
 
 
 def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:
-    """Compare the poses' probabilities, settle the best pose's covariance, decide and state the answer."""
-    pair, found = weighed.pair, weighed.found
-    with clock("decide"):
-        posterior = posterior_over(
-            weighed.ranked, config.tolerance(pair.length), config.prior_odds, weighed.elsewhere
-        )
-    if not posterior.poses:
+    """Let the best pose's target bend, compare probabilities, settle the best answer's covariance, and decide."""
+    pair, found, by = weighed.pair, weighed.found, weighed.strategy
+    answers = weighed.answers(config)
+    if not answers:
         return RegistrationResult(NO_POSE.status, NO_POSE.reason, None, n_keypoints=found.n_keypoints)
     with clock("settle"):
-        by, is_probable = weighed.strategy, posterior.best >= config.min_probability
-        estimate, support = (by.settle if is_probable else by.state)(pair, posterior.poses[0])
-        bend = by.bend(pair, posterior.poses[0]) if is_probable else None
-        if bend is not None and not bend.is_sure(config.min_probability):
-            bend = None
-        if bend is not None:
-            estimate = estimate.with_spread(bend.seen_from(pair.T_target_model).spread(estimate.center))
+        best, *others = sorted(answers, key=lambda answer: -answer.log_odds)
+        best, bends = _that_bend(by, pair, best)
+        posterior = posterior_of([best, *others], config.prior_odds, weighed.elsewhere)
+        is_probable = posterior.best >= config.min_probability
+        estimate, support = _state(by.settle if is_probable else by.state, pair, posterior.answers[0], bends, config)
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
-        if bend is not None:
+        bend = bends.get(id(posterior.poses[0])) if posterior.answers[0].effective > 0 else None
+        if bend is not None and bend.probability >= config.min_probability:
             parts = (verdict.reason, str(bend))
             # What drift leaves uncertain is no fault of where was surveyed.
-            is_accepted = verdict.status is Status.ACCEPTED
-            verdict = replace(verdict, reason="; ".join(parts if is_accepted else parts[::-1]))
+            verdict = replace(verdict, reason="; ".join(parts[:: 1 if verdict.status is Status.ACCEPTED else -1]))
         poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
         answer = state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length))
         return replace(answer, n_keypoints=found.n_keypoints, n_correspondences=found.n_correspondences)
+
+
+def _that_bend(
+    by: Strategy[Any, Any, Any], pair: Pair[Any, Any], answer: Answer[Any]
+) -> tuple[Answer[Any], dict[int, Bend]]:
+    """Join the model of a target that bends to an answer; its hypothesis by its id."""
+    for pose in answer.hypotheses:
+        if (bend := by.bend(pair, pose)) is not None:
+            rigid, bent = bend.among(pose)
+            others = (one for one in answer.hypotheses if one is not pose)
+            return Answer.of([*others, rigid, bent]), {id(bent): bend}
+    return answer, {}
+
+
+def _state(
+    state: Callable[[Pair[Any, Any], Any], tuple[Estimate, Support]],
+    pair: Pair[Any, Any],
+    answer: Answer[Any],
+    bends: dict[int, Bend],
+    config: DecisionConfig,
+) -> tuple[Estimate, Support]:
+    """State the most probable hypothesis of an answer, with the moments of all that are not improbable."""
+    shares, estimates, supports = list[float](), list[Estimate](), list[Support]()
+    for pose, share in zip(answer.hypotheses, answer.shares, strict=True):
+        if shares and share <= 1 - config.min_probability:
+            break
+        estimate, support = state(pair, pose)
+        if (bend := bends.get(id(pose))) is not None:
+            estimate = estimate.with_spread(bend.seen_from(pair.T_target_model).spread(estimate.center))
+        shares.append(share)
+        estimates.append(estimate)
+        supports.append(support)
+    return Estimate.mixture(estimates, shares), supports[0]

@@ -10,16 +10,17 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.bases import Bases
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import log_odds
+from magmatch.registration.decide.posterior import Answer, answers_of
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.prepared.inside import spread_inside
+from magmatch.registration.prepared.model_prior import overlap_weight
 from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.bend import Bend
-from magmatch.registration.weigh.evidence import overlap_weight
 from magmatch.registration.weigh.hypothesis import Hypothesis
 
 BaseSide = TypeVar("BaseSide")
@@ -30,7 +31,7 @@ Pose_contra = TypeVar("Pose_contra", bound=Hypothesis, contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class Among:
-    """What all maps that are searched for one target share."""
+    """The state that all maps share which are searched for one target."""
 
     volume: float  # m^3: of all their regions
     length: float  # m: correlation length by which a walk is binned, so that none is judged by more bins
@@ -76,13 +77,16 @@ class Weighed(Generic[BaseSide, TargetSide, W]):
     strategy: "Strategy[BaseSide, TargetSide, W]"  # the one that weighed them, and can state and settle them
     pair: Pair[BaseSide, TargetSide]
     found: SearchResult
-    ranked: list[W]  # in any order
+    ranked: list[W]  # hypotheses, pose and model, in any order
     elsewhere: float = -np.inf  # nats: log odds of the best pose in any other base; -inf if there is none
 
-    @property
-    def best_log_odds(self) -> float:
-        """Log odds of the most probable pose over unrelated surveys, nats; -inf if there is none."""
-        return max((log_odds(h.log_evidence, h.misfit, h.kind) for h in self.ranked), default=-np.inf)
+    def answers(self, config: DecisionConfig) -> list[Answer[W]]:
+        """Hypotheses that are one answer at the accuracy asked for."""
+        return answers_of(self.ranked, config.tolerance(self.pair.length))
+
+    def best_log_odds(self, config: DecisionConfig) -> float:
+        """Log odds of the most probable answer over unrelated surveys, nats; -inf if there is none."""
+        return max((answer.log_odds for answer in self.answers(config)), default=-np.inf)
 
 
 class Strategy(Protocol[BaseSide, TargetSide, Pose_contra]):

@@ -49,7 +49,7 @@ def write_g2o(result: RegistrationResult, path: str | Path, tangent: RotationTan
 
 
 def vertices_of(result: RegistrationResult) -> tuple[Vector3, Vector3]:
-    """Where the vertices of an edge are in base and target (m): whole metres near the samples, or the origin."""
+    """Place the vertices of an edge in base and target (m): at whole metres near the samples, or at the origin."""
     return near_origin(result.links.base, 1.0), near_origin(result.links.target, 1.0)
 
 

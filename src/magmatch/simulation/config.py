@@ -9,7 +9,7 @@ from magmatch.settings import Settings
 
 
 class SimulationConfig(Settings):
-    """What a simulated pair of surveys is like; scenario-independent unless a comment says otherwise."""
+    """The settings of a simulated pair of surveys; scenario-independent unless a comment says otherwise."""
 
     # Samples in each survey (the published office used a few thousand).
     n_samples: int = Field(default=2500, ge=4, le=10_000_000)

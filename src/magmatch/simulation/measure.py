@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a sensor reads along a path, and where it believes to be: the errors of a survey."""
+"""A sensor reads the field along a path, and believes to be somewhere: the errors of a survey."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where and how a sensor is carried: hand-held sweeps, robot circles, a corridor loop."""
+"""A sensor is carried along a path: hand-held sweeps, robot circles, a corridor loop."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What makes indoor fields: steel structures around a room or a corridor, magnets under a table."""
+"""Structures make indoor fields: steel around a room or a corridor, magnets under a table."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 # So sure must be what teaches noise, and that logs share a frame.
 SURE_ODDS = float(logit(SURE))
-# What a submap itself states of the noise: closures' poses were fitted to the same residuals, mostly near its path.
+# A submap itself states this of the noise: closures' poses were fitted to the same residuals, mostly near its path.
 MAPS_OWN = ("map_factor", "map_length")
 
 

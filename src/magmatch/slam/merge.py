@@ -181,8 +181,8 @@ def _unconnected(centers: Points) -> PoseGraph:
 def _lay_out(graph: PoseGraph) -> None:
     """Set initial poses of the surveys by closures that agree: least squares must start near the solution.
 
-    Of the spanning tree of the most probable closures and many random ones, the tree with which most closures agree
-    is chosen. Starting from a compromise between right and wrong closures, all would seem wrong.
+    Of the spanning tree of the most probable closures and many random ones, the tree is chosen with which most
+    closures agree. From a compromise between right and wrong closures, all would seem wrong.
     """
     rng, n = np.random.default_rng(0), len(graph.p)
     odds = graph.as_arrays.odds

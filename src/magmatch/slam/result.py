@@ -106,7 +106,7 @@ class AnchorResult:
     sd : float, m
         As stated, per coordinate.
     off : (3,) floats, m
-        From there to the log's corrected position.
+        Vector from there to the log's corrected position.
     off_without, sd_without : (3,) floats and float, m
         From there to where odometry, closures and the other points have the log, and how well that is known, per
         coordinate: far beyond it, the point is wrong.

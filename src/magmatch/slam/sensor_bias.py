@@ -34,7 +34,7 @@ BINS, PART_LENGTH = 4, 25.0
 
 
 def recalibrations_of(survey: Survey) -> Recalibrations:
-    """Where the magnetometer recalibrated itself; none where orientations are missing or an axis is stuck."""
+    """Find where the magnetometer recalibrated itself; none where orientations are missing or an axis is stuck."""
     if survey.orientations is None or stuck_axes(survey):
         return NO_CUTS
     return find_recalibrations(SensorLog.of(survey))

@@ -79,7 +79,7 @@ class RerunScene:
         return zip(self.parts, self.origins, strict=True)
 
     def pose_of_target(self, share: float) -> RigidTransform:
-        """Where the target stands on the way from as it was recorded (0) to registered (1)."""
+        """Place the target on the way from as it was recorded (0) to registered (1)."""
         if self.T_base_target is None:
             return RigidTransform.identity()
         ends = np.stack([np.eye(3), rotation_matrix(self.T_base_target)])

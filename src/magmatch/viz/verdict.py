@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a registration's status means, and what its user can do next."""
+"""A registration's status has a meaning, and its user can do something next."""
 
 from magmatch.registration.result import RegistrationResult, Status
 
@@ -78,7 +78,7 @@ def percent(probability: float) -> str:
 
 
 def next_steps(result: RegistrationResult) -> list[str]:
-    """What the user can do, the most promising first."""
+    """List what the user can do, the most promising first."""
     prior = result.config.get("prior", {})
     is_upright = prior.get("is_gravity_aligned") or prior.get("is_planar")
     steps = [step for step in NEXT_STEPS[result.status] if step != IF_UPRIGHT or not is_upright]

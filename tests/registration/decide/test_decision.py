@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from hand_made import WeighedPose
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide, in_words
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Posterior, needed_evidence, posterior_over
+from magmatch.registration.decide.posterior import Answer, Posterior, needed_evidence, posterior_over
 from magmatch.registration.result import Status
 
 CONFIG = DecisionConfig()
@@ -26,7 +26,8 @@ NEEDED = needed_evidence(CONFIG.min_probability, "map")
 def posterior_of(best=0.995, rivals=0.0, elsewhere=0.0, pose=None):
     """The best pose, two others and another map, each with its probability; the rest is the null's."""
     poses = (pose or WeighedPose(), WeighedPose(log_evidence=20.0), WeighedPose(log_evidence=10.0))
-    return Posterior(poses, (best, 0.75 * rivals, 0.25 * rivals), elsewhere, 1 - best - rivals - elsewhere)
+    answers = tuple(Answer.of([pose]) for pose in poses)
+    return Posterior(answers, (best, 0.75 * rivals, 0.25 * rivals), elsewhere, 1 - best - rivals - elsewhere)
 
 
 def estimate_of(turn=0.01, shift=0.01):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hand_made import WeighedPose
-from magmatch.geometry import perturbation, random_transform
+from magmatch.geometry import perturbation, perturbation_between, random_transform
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.result import RegistrationResult, Status
 
@@ -138,3 +138,23 @@ def test_a_pose_without_a_covariance_is_not_known_at_all():
     assert (found.covariance, found.covariance_about_origin) == (None, None)
     assert found.worst_sd == (np.inf, np.inf)
     assert found.free_directions(LIMITS) == ()
+
+
+def test_a_pose_under_several_models_has_the_moments_of_their_mixture():
+    """Of the drawn poses: to first order in how far the models' poses are apart."""
+    rng, center, T = np.random.default_rng(3), np.array([4.0, -2.0, 1.0]), random_transform(np.random.default_rng(4))
+    models = [
+        Estimate(T * perturbation(off, center), center, 1e-6 * (np.eye(6) + np.outer(off, off) / (off @ off)))
+        for off in 2e-3 * rng.standard_normal((2, 6))
+    ]
+    mixed = Estimate.mixture(models, [0.15, 0.45])
+    drawn_off = np.concatenate([
+        perturbation_between(mixed.T_base_target, one.T_base_target, center)
+        + rng.multivariate_normal(np.zeros(6), one.covariance, n)
+        for one, n in zip(models, (50_000, 150_000), strict=True)
+    ])  # fmt: skip
+    np.testing.assert_allclose(drawn_off.mean(axis=0), 0, atol=3e-5)
+    np.testing.assert_allclose(mixed.covariance, np.cov(drawn_off.T), atol=1e-7)
+    assert Estimate.mixture(models[:1], [0.3]) is models[0]
+    # A model under which a direction is not known leaves the best one as it is.
+    assert Estimate.mixture([models[0], Estimate(T, center, None)], [0.6, 0.4]) is models[0]

@@ -215,3 +215,22 @@ def test_what_is_fitted_knows_every_kind_and_saturates():
         assert log_odds(400.0, 1.0, kind) < 2 * log_odds(200.0, 1.0, kind)
     with pytest.raises(ValueError, match="saturation"):
         Fitted(scale=1.0, saturation=0.0, offset={"map": 0.0, "walk": 0.0})
+
+
+@given(e=st.floats(0, 300), gap=st.floats(-60, 60), misfit=st.floats(0.5, 3))
+def test_models_of_one_pose_add_up_and_poses_of_one_model_do_not(e, gap, misfit):
+    rigid = shifted(0.0, log_evidence=e, misfit=misfit)
+    freer, again = (shifted(0.1, log_evidence=e + gap, model=model) for model in ("bends", "rigid"))
+    (both,) = posterior_over([rigid, freer], TOLERANCE).answers
+    effective = [effective_evidence(h.log_evidence, h.misfit) for h in (rigid, freer)]
+    assert both.effective == pytest.approx(np.logaddexp(*effective), abs=1e-9)
+    assert both.best is (rigid if effective[0] >= effective[1] else freer)
+    assert sum(both.shares) == pytest.approx(1)
+    assert both.shares[0] == pytest.approx(np.exp(max(effective) - both.effective))
+    (one,) = posterior_over([rigid, again], TOLERANCE).answers
+    assert one.effective == max(effective)
+
+
+def test_a_lone_pose_has_the_evidence_that_it_has():
+    (answer,) = posterior_over([WeighedPose(log_evidence=123.4, misfit=0.9)], TOLERANCE).answers
+    assert (answer.effective, answer.shares) == (123.4, (1.0,))

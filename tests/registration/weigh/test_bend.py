@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.spatial.transform import RigidTransform
 
-from hand_made import Polynomial, prepared_map, some_field
+from hand_made import Polynomial, WeighedPose, prepared_map, some_field
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.path_noise import PathNoise
@@ -58,19 +59,19 @@ def place():
 def test_halves_of_a_rigid_walk_agree(place):
     base, T = place
     bend = found(base, walk_through(base, T), T)
-    assert bend.chi2 < 1e-3
-    assert not bend.is_sure(0.5)
+    assert bend.half_chi2 < 1e-3
+    assert bend.probability < 0.2
 
 
 def test_a_bend_is_found_with_its_size(place):
     base, T = place
     xi = np.array([0.02, -0.03, 0.05, 0.03, -0.02, 0.04])
     bend = found(base, bent(walk_through(base, T), xi, PATH.mean(axis=0)), T)
-    assert bend.is_sure(0.999)
+    assert bend.probability > 0.999
     np.testing.assert_allclose(bend.xi, xi, atol=4e-3)
     # Less may be the halves' own errors.
     xi = 0.3 * np.sqrt(np.diag(bend.covariance))
-    assert not found(base, bent(walk_through(base, T), xi, PATH.mean(axis=0)), T).is_sure(0.9)
+    assert found(base, bent(walk_through(base, T), xi, PATH.mean(axis=0)), T).probability < 0.9
 
 
 def test_a_pose_is_off_by_as_much_as_the_walk_bends_and_by_more_where_the_base_ends(place):
@@ -133,7 +134,7 @@ def test_samples_of_a_map_bend_as_a_walk_does(size):
     bend = bend_as_map(
         place, as_map(bent(walk_through(place.map, place.truth, FINE_PATH), xi, FINE_PATH.mean(axis=0)))
     )
-    assert bend.is_sure(0.99) == (size > 0)
+    assert (bend.probability > 0.99) == (size > 0)
     np.testing.assert_allclose(bend.xi, xi, atol=6e-3)
 
 
@@ -142,13 +143,13 @@ def test_what_the_base_does_not_know_between_its_samples_and_what_positions_drif
     walk = bent(walk_through(placed().map, placed().truth, FINE_PATH), xi, FINE_PATH.mean(axis=0))
     known = bend_as_map(placed(), as_map(walk))
     vague = bend_as_map(placed(error=3e-6), as_map(walk))
-    assert vague.chi2 < known.chi2 / 10
+    assert vague.half_chi2 < known.half_chi2 / 10
     one = Drift(0.1, 0.1, np.zeros(len(FINE_PATH), dtype=np.int64), np.ones((1, 1)))
     walk = bent(walk_through(placed().map, placed().truth, FINE_PATH), [0, 0, 0, *xi[3:]], FINE_PATH.mean(axis=0))
-    assert bend_as_map(placed(), as_map(walk)).is_sure(0.99)
+    assert bend_as_map(placed(), as_map(walk)).probability > 0.99
     stated = bend_as_map(placed(), replace(as_map(walk), drift=one))
     assert np.sqrt(np.diag(stated.covariance)[3:]).min() > 0.9 * np.sqrt(2) * 0.1
-    assert not stated.is_sure(0.99)
+    assert stated.probability < 0.99
 
 
 def test_samples_in_no_order_have_no_halves():
@@ -163,10 +164,30 @@ def test_what_a_bend_does_to_a_point_is_the_same_in_any_axes_and_about_any_centr
     A = rng.normal(size=(6, 6))
     bend, T = Bend(xi, center, A @ A.T, 1.7), random_transform(rng)
     seen = bend.seen_from(T)
-    moved = 1.7 * (xi[3:] + np.cross(xi[:3], point - center))
+    size = 1.7 * np.sqrt(bend.share)
+    moved = size * (xi[3:] + np.cross(xi[:3], point - center))
     for found, R, p in ((bend, np.eye(3), point), (seen, T.rotation.as_matrix(), T.apply(point))):
         spread = found.spread(p)
         np.testing.assert_allclose(spread[3:, 3:], R @ np.outer(moved, moved) @ R.T, atol=1e-9)
-        np.testing.assert_allclose(spread[:3, :3], 1.7**2 * R @ np.outer(xi[:3], xi[:3]) @ R.T, atol=1e-9)
+        np.testing.assert_allclose(spread[:3, :3], size**2 * R @ np.outer(xi[:3], xi[:3]) @ R.T, atol=1e-9)
         assert not spread[:3, 3:].any()
-    assert seen.chi2 == pytest.approx(bend.chi2, rel=1e-6)
+    assert seen.half_chi2 == pytest.approx(bend.half_chi2, rel=1e-6)
+
+
+@pytest.mark.parametrize("c", [1e-6, 0.5, 3.0, 8.0, 40.0, 300.0])
+def test_the_evidence_of_a_bend_of_any_size_is_its_integral(c):
+    xi = np.sqrt(2 * c / 6) * np.ones(6)
+    bend = Bend(xi, np.zeros(3), np.eye(6), 1.0)
+    mass, _ = quad(lambda u: 0.5 * u**2.5 * np.exp(-c * u), 0, 1, epsabs=0)
+    kept, _ = quad(lambda u: 0.5 * (1 - u) * u**2.5 * np.exp(-c * u), 0, 1, epsabs=0)
+    assert bend.log_ratio == pytest.approx(c + np.log(mass), rel=1e-6)
+    assert bend.share == pytest.approx(kept / mass, rel=1e-6)
+
+
+@given(c=st.floats(0.01, 200), e=st.floats(1, 500))
+def test_rigid_and_bent_share_the_evidence_for_the_place(c, e):
+    bend = Bend(np.sqrt(2 * c / 6) * np.ones(6), np.zeros(3), np.eye(6), 1.0)
+    rigid, bent = bend.among(WeighedPose(log_evidence=e))
+    assert np.logaddexp(rigid.log_evidence, bent.log_evidence) == pytest.approx(e)
+    assert bent.log_evidence - rigid.log_evidence == pytest.approx(bend.log_ratio)
+    assert rigid.model != bent.model

@@ -8,7 +8,9 @@ from magmatch import build_map, register, simulate
 from magmatch.field.config import SPLINE
 from magmatch.geometry import log_se3, transform_error
 from magmatch.registration.config import PRESETS
+from magmatch.registration.decide.posterior import answers_of
 from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.prepared.model_prior import RATES
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bending_walk import BendingWalk
 from magmatch.simulation.config import SimulationConfig
@@ -42,7 +44,11 @@ def test_the_right_pose_has_evidence_and_one_beside_it_has_none(drifting):
     pair, index = drifting
     models, bending = weigher(index, pair.target)
     truth = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
-    (right,) = bending.weigh([truth])
+    found = bending.weigh([truth])
+    # One hypothesis for each rate of drift, of one answer.
+    assert len({one.model for one in found}) == len(found) == len(RATES)
+    (answer,), right = answers_of(found, (1.0, 0.3)), found[0]
+    assert answer.hypotheses == tuple(found)
     assert right.log_evidence > 20
     assert transform_error(right.T_base_target, truth, right.center)[0] < 0.3
     other = simulate("corridor", 402, SimulationConfig(pose_drift=0.05))

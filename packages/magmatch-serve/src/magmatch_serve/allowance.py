@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much of something may be had: so much a second, and a few seconds' worth at once."""
+"""Something may be had at so much a second, and a few seconds' worth at once."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -25,7 +25,7 @@ class Allowance:
 
 
 class Allowances:
-    """One for each address; of those that were not heard of for longest, the last `most_known` are known."""
+    """An allowance for each address; only the `most_known` that were heard of last are known."""
 
     def __init__(self, per_minute: float, most_known: int = 10_000, clock: Callable[[], float] = monotonic) -> None:
         self._per_minute, self._most_known, self._clock = per_minute, most_known, clock

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is asked for at which path, and what is answered."""
+"""Each path of the service answers one question."""
 
 import logging
 from collections.abc import Awaitable, Callable

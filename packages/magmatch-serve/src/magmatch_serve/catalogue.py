@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which maps are served: looked at now and then; one that is added or replaced is served once it is whole."""
+"""The maps that are served are looked at now and then; one that is added or replaced is served once it is whole."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ class Listing:
 
     @property
     def version(self) -> str:
-        """Tells listings apart."""
+        """A text that tells listings apart."""
         return hashlib.sha256(repr(self.maps).encode()).hexdigest()[:12]
 
 
@@ -74,7 +74,7 @@ class Catalogue:
             self.served, self.fault = listing, None
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """Describe it as JSON."""
         maps = [
             {"name": n, "bytes": size, "version": Listing(((n, t, size),)).version} for n, t, size in self.served.maps
         ]

@@ -11,7 +11,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.settings import Settings
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-# What a token has to hold so that nobody guesses it.
+# A token has to hold this so that nobody guesses it.
 LEAST_TOKEN = 16
 TOKEN = re.compile(rf"[A-Za-z0-9._~-]{{{LEAST_TOKEN},}}")
 
@@ -22,7 +22,7 @@ class ServeConfig(Settings):
     # Where it listens. Other machines reach it only where a token is set.
     host: str = "127.0.0.1"
     port: int = Field(default=8123, ge=0, le=65535)
-    # Whoever asks has to know it.
+    # A token that every client has to know.
     token: str | None = None
     # Web pages from elsewhere that may ask, such as https://maps.example.org: that of a reverse proxy.
     origins: tuple[str, ...] = ()

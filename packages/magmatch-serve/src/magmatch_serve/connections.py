@@ -16,7 +16,7 @@ class Wire(WebSocketsSansIOProtocol):
     """Reads little at a time; asyncio's transports would read 256 KiB, thousands of samples."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin."""
+        """Begin to read, little at a time."""
         transport.max_size = MAX_READ  # type: ignore[attr-defined]
         super().connection_made(transport)
 
@@ -49,7 +49,7 @@ async def cut_off(connections: Collection[Any], patience: float) -> None:
 
 
 def _awaited(one: Any) -> Any:
-    """What a connection waits for: a request after the last one, or that bytes are taken; None where it does not."""
+    """Say what a connection waits for: a further request, or that bytes are taken; None where it does not."""
     is_http, unsent = isinstance(one, H11Protocol), one.transport.get_write_buffer_size()
     is_full = one.flow.write_paused if is_http else not one.writable.is_set()
     if unsent and (is_full or one.transport.is_closing()):

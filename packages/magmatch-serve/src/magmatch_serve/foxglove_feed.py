@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The same picture by Foxglove's protocol, on this machine only: transforms, ellipses, hypotheses and the maps."""
+"""Foxglove's protocol shows the same picture, on this machine only: transforms, ellipses, hypotheses and the maps."""
 
 import time
 from importlib import import_module
@@ -16,7 +16,7 @@ UNSURE = {"r": 0.34, "g": 0.38, "b": 0.42, "a": 0.6}
 
 
 class FoxgloveFeed:
-    """A server beside ours."""
+    """A Foxglove server beside the service's own."""
 
     def __init__(self, port: int) -> None:
         foxglove = import_extra("foxglove", "Foxglove's protocol", "foxglove", "./packages/magmatch-serve")
@@ -33,7 +33,7 @@ class FoxgloveFeed:
 
     @property
     def port(self) -> int:
-        """Where it listens."""
+        """The port on which it listens."""
         return int(self._server.port)
 
     def show(self, bodies: list[dict[str, Any]]) -> None:
@@ -106,5 +106,5 @@ class FoxgloveFeed:
         return m.SceneEntity(timestamp=stamp, frame_id=frame, id=body["client"], lifetime=life, cylinders=[disc])
 
     def stop(self) -> None:
-        """End."""
+        """End the server."""
         self._server.stop()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Who may come in: asked of every request and connection before anything else is done."""
+"""Every request and connection is asked whether it may come in, before anything else is done."""
 
 import secrets
 from urllib.parse import urlsplit

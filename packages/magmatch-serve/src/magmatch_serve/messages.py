@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What goes over the wire: samples and poses, as JSON or as a compact binary form; docs/serve.md has the tables."""
+"""Samples and poses go over the wire, as JSON or as a compact binary form; docs/serve.md has the tables."""
 
 import json
 import struct
@@ -45,13 +45,13 @@ class Sample(_Message):
 
 
 class Samples(_Message):
-    """Several, oldest first; one answer."""
+    """Several samples, oldest first, with one answer."""
 
     samples: Annotated[list[Sample], Field(min_length=1)]
 
 
 class Hello(_Message):
-    """What a client says first."""
+    """The first message of a client."""
 
     type: Literal["hello"]
     # From an earlier welcome: resume that state. Without one, a new key is given.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the service counts, in the text form of Prometheus."""
+"""The service counts, and says so in the text form of Prometheus."""
 
 from typing import Any
 
@@ -32,5 +32,5 @@ class Metrics:
         self.renewals = Counter("magmatch_map_renewals", "Times that maps were loaded again", **own)
 
     def text(self) -> bytes:
-        """All of them."""
+        """Write all counters."""
         return generate_latest(self.registry)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the service answers, as an OpenAPI document and as a page that needs nothing from elsewhere."""
+"""The service describes its answers, as an OpenAPI document and as a page that needs nothing from elsewhere."""
 
 from functools import cache
 from html import escape
@@ -38,7 +38,7 @@ LIVE = (
 
 @cache
 def openapi() -> dict[str, Any]:
-    """The document."""
+    """Write the document."""
     document: dict[str, Any] = {
         "openapi": "3.1.0",
         "info": {"title": "magmatch", "version": __version__, "description": "Where bodies are in a magnetic map."},
@@ -116,7 +116,7 @@ def _json(schema: str) -> dict[str, Any]:
 
 @cache
 def openapi_page() -> str:
-    """The document for people."""
+    """Write the document for people."""
     document = openapi()
     parts = []
     for path, methods in document["paths"].items():

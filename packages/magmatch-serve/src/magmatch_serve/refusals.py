@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What cannot be done: a status code of HTTP and one sentence. A WebSocket is closed with 4000 more."""
+"""A refusal is a status code of HTTP and one sentence. A WebSocket is closed with 4000 more."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,12 +21,12 @@ class RefusedError(Exception):
 
     @property
     def document(self) -> dict[str, Any]:
-        """As JSON."""
+        """Describe it as JSON."""
         return {"type": "error", "status": self.status, "message": self.message}
 
     @property
     def headers(self) -> dict[str, str]:
-        """When to come again, and how to say who one is."""
+        """Headers that say when to come again, and how to say who one is."""
         found = {} if self.retry_after is None else {"Retry-After": str(max(1, round(self.retry_after)))}
         return found | ({"WWW-Authenticate": "Bearer"} if self.status == 401 else {})
 
@@ -39,7 +39,7 @@ def or_raised(found: Any) -> Any:
 
 
 def without_paths(words: str, names: Mapping[Path, str]) -> str:
-    """What is said of files on one line, by names instead of their paths, whether these are absolute or not."""
+    """Say on one line what is said of files, by names instead of their paths, whether these are absolute or not."""
     words = " ".join(words.split())
     for path, name in names.items():
         for form in {str(path), str(path.resolve())} - {".", "/"}:

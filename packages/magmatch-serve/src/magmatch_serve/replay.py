@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A log sent through the live door as if it were walked now, and what came back."""
+"""A log is sent through the live door as if it were walked now, and the answers are collected."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class ReplayError(MagmatchError, OSError):
 
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """What came back of a log."""
+    """The answers that came back of a log."""
 
     times: np.ndarray  # (k,), s: of the samples at which a pose was stated
     poses: RigidTransform | None  # those poses, ``T_map_body``
@@ -98,7 +98,7 @@ def replay(
 
 
 class _Sender:
-    """Where a replay stands, over all its connections."""
+    """The state of a replay, over all its connections."""
 
     def __init__(self, log: Survey, speed: float, on_pose: Callable[[dict[str, Any]], None]) -> None:
         R = log.orientations if log.orientations is not None else Rotation.identity(len(log))
@@ -144,7 +144,7 @@ class _Sender:
         self._on_pose(said)
 
     def result(self) -> Replayed:
-        """What came back."""
+        """Give the answers that came back."""
         times = sorted(self._found)
         poses = [transform_from_matrix(np.array(self._found[t])) for t in times]
         found = RigidTransform.concatenate(poses) if poses else None

@@ -86,6 +86,6 @@ def _listen(config: ServeConfig) -> socket.socket:
 
 
 def address_of(listening: socket.socket) -> str:
-    """Where it is to be found."""
+    """Give the address at which it is to be found."""
     host, port = listening.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -52,7 +52,7 @@ def _routine(module: str, name: str, n_arguments: int) -> Any:
 
 
 def _place(context: Any, builder: ir.IRBuilder, kind: Any, value: Any, number: Any) -> Any:
-    """Where Fortran finds an argument."""
+    """Give the address at which Fortran finds an argument."""
     if kind == types.int64:
         return builder.inttoptr(value, _ADDRESS)
     if isinstance(kind, types.Array):

@@ -41,7 +41,7 @@ class BufferPool:
 
 
 class _PooledBuffer:
-    """What all views of a matrix hold on to: when it goes, its buffer is idle."""
+    """All views of a matrix hold on to this: when it goes, its buffer is idle."""
 
     def __init__(self, reserve: BufferPool, buffer: np.ndarray) -> None:
         self._reserve, self._buffer = reserve, buffer

@@ -73,7 +73,7 @@ class CellGrid:
         return np.asarray(spanned_points([d] * 3) @ np.array([ny * nz, nz, 1]), dtype=np.int64)
 
     def flat_nodes(self) -> np.ndarray:
-        """Where each node lies in the flattened ``node_index``."""
+        """Give the row of each node in the flattened ``node_index``."""
         return np.asarray(
             np.ravel_multi_index(tuple((self.nodes + STENCIL_REACH).T), self.node_index.shape), dtype=np.int64
         )

@@ -75,7 +75,7 @@ class CholeskyFactor:
 
     @property
     def precision(self) -> np.dtype[np.floating]:
-        """Of its entries."""
+        """The type of its entries."""
         return self.pivots[0].dtype
 
     @property
@@ -105,7 +105,7 @@ def factorise(
 def _blocks(
     elimination: Elimination, precision: npt.DTypeLike
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
-    """Where a factor's pivots and what is below them are to lie, and both of a front as one: one piece of memory."""
+    """Lay out a factor's pivots and what is below them, and both of a front as one: one piece of memory."""
     sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
     memory = BUFFER_POOL.take(sum(n * (n + k) for n, k in sizes), 1, precision).ravel(order="K")
     pivots, below, blocks, start = [], [], [], 0

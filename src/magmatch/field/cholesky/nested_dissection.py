@@ -129,7 +129,7 @@ def _fronts(
     groups: list[np.ndarray],
     children: list[tuple[int, ...]],
 ) -> list[Front]:
-    """What every part touches: nodes of its cells and its children's borders, as far as eliminated later."""
+    """List the nodes that every part touches: of its cells and its children's borders, as far as eliminated later."""
     starts = np.concatenate([[0], np.cumsum([len(g) for g in groups])])
     cell_positions = position[cells.cell_nodes]
     first = cell_positions.min(axis=1)

@@ -29,7 +29,7 @@ _MOST_ROUNDS = 12
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InnerSources:
-    """Where sources may stand nearer than a layer, and what samples say about them: asked at any noise."""
+    """Places where sources may stand nearer than a layer, and the samples' information on them, at any noise."""
 
     shell: SourceShell
     points: Points  # (n, 3), m: samples
@@ -93,7 +93,7 @@ def _taken(gram: Matrix, y: Scalars, is_extra: Mask, group: Indices, least: floa
 
 
 def _left(inner: Matrix, cross: Matrix, r: Scalars, outer: Matrix, q: Scalars) -> tuple[Matrix, Scalars]:
-    """What data say about outer columns once inner ones, of weights with prior N(0, I), have taken their part."""
+    """Reduce the data on outer columns by the part that inner ones, of weights with prior N(0, I), have taken."""
     if len(inner) == 0:
         return outer, q
     L = cholesky(inner + np.eye(len(inner)), lower=True, overwrite_a=True, check_finite=False)
@@ -102,7 +102,7 @@ def _left(inner: Matrix, cross: Matrix, r: Scalars, outer: Matrix, q: Scalars) -
 
 
 def _gains(S: Matrix, u: Scalars, group: Indices) -> Scalars:
-    """What each group of columns adds to the log evidence: ``u^T (I + S)^-1 u / 2 - log det(I + S) / 2``."""
+    """Compute each group's gain in log evidence: ``u^T (I + S)^-1 u / 2 - log det(I + S) / 2``."""
     gains = np.empty(group.max() + 1)
     for k in range(len(gains)):
         own = np.flatnonzero(group == k)

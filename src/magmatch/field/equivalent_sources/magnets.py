@@ -56,7 +56,7 @@ def find_magnets(points: Points, field: Vectors, reach: float) -> tuple[Points, 
 
 
 def _candidate(x: Points, residual: Vectors, tree: cKDTree, nearest: float, reach: float) -> Points:
-    """Where one dipole explains most of the residuals around it."""
+    """Find the place where one dipole explains most of the residuals around it."""
     order = np.argsort(-(residual**2).sum(axis=1), kind="stable")
     anchors = order[:: max(1, len(order) // (10 * _ANCHORS))][:_ANCHORS]
     offsets = (np.geomspace(nearest, reach, _DISTANCES)[:, None, None] * _DIRECTIONS).reshape(-1, 3)

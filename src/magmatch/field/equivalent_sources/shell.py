@@ -55,7 +55,7 @@ class SourceShell:
         return len(self.sources)
 
     def is_whole(self, points: Points) -> Mask:
-        """Where the basis alone is the prior: near the region, not next to a charge. Elsewhere it is silent."""
+        """Say where the basis alone is the prior: near the region, not next to a charge. Elsewhere it is silent."""
         near, _ = self.region.query(points, distance_upper_bound=_REACH_RATIO * self.distance)
         is_near = np.isfinite(near)
         if self.inner is None:
@@ -64,7 +64,7 @@ class SourceShell:
         return is_near & ~np.isfinite(beside)
 
     def with_charges(self, charges: Points, scale: Scalars, samples: Points) -> "SourceShell":
-        """The same with further charges, each of its own scale, among or next to samples."""
+        """Add further charges, each of its own scale, among or next to samples."""
         sources = np.ascontiguousarray(np.concatenate([self.sources, charges]))
         scales, distance = np.concatenate([self.scale, scale]), float(np.min(cKDTree(samples).query(charges)[0]))
         return replace(self, sources=sources, scale=scales, inner=cKDTree(charges), inner_distance=distance)

@@ -29,7 +29,7 @@ _LEAST_T = 2.0
 def calibrated(
     prior: Prior, points: Points, field: Vectors, h: Hyperparameters, model: LinearModel | None = None
 ) -> Hyperparameters:
-    """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
+    """Calibrate noise and spread on held-out samples; neither becomes smaller.
 
     ``model``: the prior's model for the same arguments, if available.
     """
@@ -74,7 +74,7 @@ def misfit_inflation(points: Points, field: Vectors, posterior: FieldPosterior) 
 def widened(
     h: Hyperparameters, points: Points, field: Vectors, folds: Folds, fit_without: Callable[[Mask], FieldPosterior]
 ) -> Hyperparameters:
-    """The same hyperparameters with noise and spread calibrated on held-out samples, never smaller.
+    """Widen noise and spread as held-out samples ask; neither becomes smaller.
 
     The mean does not change: noise and prior grow by the same factor. Of a few spreads, the sharpest in mean log
     width that covers 95 % of all held-out components is chosen.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the inducing points lie: the nodes of a regular grid that are within reach of samples."""
+"""Inducing points lie at the nodes of a regular grid that are within reach of samples."""
 
 import logging
 from collections.abc import Callable

@@ -35,7 +35,7 @@ class Basis(Protocol):
         """How many."""
 
     def is_whole(self, points: Points) -> Mask:
-        """Where the basis alone is the prior; elsewhere the prior has a part that the basis cannot represent."""
+        """Say where the basis alone is the prior; elsewhere the prior has a part that the basis cannot represent."""
 
     def design(self, points: Points, order: int = 0) -> Matrix:
         """Field and derivatives per unit of each weight: (rows n, m), rows component-major."""
@@ -49,7 +49,7 @@ class Basis(Protocol):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DenseInformation:
-    """What samples say about whitened weights, in units of the noise: sums over samples, so they subtract."""
+    """The samples' information on whitened weights, in units of the noise: sums over samples, so they subtract."""
 
     gram: Matrix  # (m, m): ``sum A^T A / s^2``, lower triangle
     eta: Scalars  # (m,): ``sum A^T b / s^2``

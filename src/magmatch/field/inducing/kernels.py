@@ -36,7 +36,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where one product of Hermite functions goes: row of the point, weight of the node, coefficient."""
+    """The target of one product of Hermite functions: row of the point, weight of the node, coefficient."""
 
     row: int
     weight: int

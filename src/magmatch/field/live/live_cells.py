@@ -101,7 +101,7 @@ def add_sums(information: SplineInformation, cells: CellGrid, block: Block) -> S
 
 
 def _grown(array: np.ndarray, n_rows: int) -> np.ndarray:
-    """The same rows in an array that holds at least so many."""
+    """Copy the rows into an array that holds at least so many."""
     if n_rows <= len(array):
         return array
     grown = np.zeros((max(n_rows, 2 * len(array)), array.shape[1]))

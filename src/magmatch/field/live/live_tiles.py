@@ -31,7 +31,7 @@ FITTED_BYTES, LEAST_FITTED = 512 * 2**20, 8
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
-    """What is known about the field at n points, map frame."""
+    """The mean and variance of the field at n points, map frame."""
 
     values: FieldValues  # posterior mean of field and derivatives
     covariance: np.ndarray  # (n, 3, 3), T^2: of the noise-free field; where blocks blend, an upper bound

@@ -65,7 +65,7 @@ def compare(
 
 
 def compare_on_the_rest(candidates: list[PriorCandidate], samples: Survey, folds: Folds) -> list[PriorCandidate]:
-    """The same with the errors of all parts of the survey instead of some."""
+    """Compare the errors of all parts of the survey instead of some."""
     few, left_out, part = _thinned(samples, folds, folds.rest)
     out = []
     for candidate in candidates:

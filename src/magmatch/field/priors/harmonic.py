@@ -101,7 +101,7 @@ class HarmonicPrior:
         return lay_shell(region, farther, spacing * farther / distance, most)
 
     def _sources(self, points: Points, field: Vectors, h: Hyperparameters) -> InnerSources:
-        """Where the data may show sources nearer than the layer."""
+        """Find the places where the data may show sources nearer than the layer."""
         some = self._some(points)
         shell = lay_shell(points, h.lengthscale, h.spacing, self.max_sources)
         return find_inner_sources(shell, points[some], field[some])

@@ -11,11 +11,11 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import EvidenceSearch
 
 # A step must gain so many nats, and so many for each independent value: less is chance, and the start is a good one.
-# One to finer splines costs twice as much.
+# A step to finer splines costs twice as much.
 LEAST_GAIN, GAIN, GAIN_OF_FINER, MOST_STEPS = 2.0, 0.005, 0.01, 6
 # Factors tried of each number, the second where the first does not help.
 DIVERGENCE_WEIGHT_STEPS, LENGTHSCALE_STEPS = (10.0, 0.1), (1.8, 1 / 1.8)
-# Of the noise's logarithm: so far at once, and how far a parabola is as good as the evidence.
+# Longest step of the noise's logarithm, and the reach within which a parabola is as good as the evidence.
 LONGEST_STEP, NEAR = 1.6, 0.5
 # Bounds of lengthscale over spacing, divergence weight, signal over noise.
 RELATIVE_LENGTHSCALES, DIVERGENCE_WEIGHTS, SIGNALS_TO_NOISE = (1.5, 12.0), (3.0, 3001.0), (0.3, 1e5)
@@ -63,7 +63,7 @@ def _settled(search: EvidenceSearch, start: Hyperparameters) -> NoiseOptimum:
 
 
 def _followed(search: EvidenceSearch, first: NoiseOptimum) -> NoiseOptimum:
-    """By Newton's steps, until one is so short that nothing need be computed where it leads."""
+    """Follow Newton's steps, until one is so short that nothing need be computed where it leads."""
     tops = [first]
     while not tops[-1].is_near and len(tops) < MOST_STEPS:
         further = _noise_optimum(search, tops[-1].hyperparameters)
@@ -135,7 +135,7 @@ def _better(search: EvidenceSearch, h: Hyperparameters, best: NoiseOptimum, leas
 
 
 def _times(name: str, factor: float, h: Hyperparameters) -> Hyperparameters | None:
-    """The same with one number multiplied by a factor, where that is allowed."""
+    """Multiply one hyperparameter by a factor, where that is allowed."""
     other: Hyperparameters = replace(h, **{name: rounded(getattr(h, name) * factor)})
     return other if is_allowed(other) else None
 

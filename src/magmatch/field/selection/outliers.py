@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 # Residuals this many times the typical one are examined.
 THRESHOLD = 6.0
-# In the same measure, where a robust fit begins to doubt a sample, and in how many rounds its doubts settle.
+# In the same measure, a robust fit begins to doubt a sample here; its doubts settle in so many rounds.
 SOFT, ROUNDS = 3.0, 4
 # Doubtful samples count less only so near to a large residual, in lengthscales; how many are weighed together.
 NEARBY, MOST_TOGETHER = 1.0, 400
@@ -40,13 +40,13 @@ LARGEST_AGREEMENT, MOST_AGREEING = 0.25, 0.1
 # the splines, that one sample sees and none around. False alarms in simulated rooms need up to 0.18, what recordings
 # of two buildings contradict 0.23 and more.
 LEAST_SHIFT = 0.2
-# Of fewer samples nobody can tell which are ordinary.
+# Among fewer samples nobody can tell which are ordinary.
 FEWEST_SAMPLES = 100
 # A map of which more is in doubt does not fit its survey: then nothing is left out.
 LARGEST_SHARE = 0.05
 # Share of the squared residuals below which samples did not shape the fit.
 LITTLE_POWER = 0.2
-# Nor does one of which so much stands out at first, before those that pulled the map to them count less.
+# Nor does a map of which so much stands out at first, before those that pulled it to them count less.
 LARGEST_SHARE_AT_FIRST = 0.3
 
 

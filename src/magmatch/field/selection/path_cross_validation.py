@@ -16,8 +16,8 @@ from magmatch.field.selection.spline_evidence import EvidenceSearch
 from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Vectors
 
-# The half of what is left out that is nearest to other passes counts; the rest crosses none and tells nothing. Of
-# their errors the mean of the roots is taken, so that the few that nothing could predict do not dominate.
+# The half of what is left out that is nearest to other passes counts; the rest crosses none and tells nothing. The
+# mean of the roots of their errors is taken, so that the few that nothing could predict do not dominate.
 SHARE, POWER = 0.5, 0.5
 INFLATIONS = np.geomspace(1.3, 8.0, 13)
 COVERAGE, IN_SDS = 0.95, 1.96

@@ -86,7 +86,7 @@ class EvidenceSearch:
             return -np.inf
 
     def log_evidence_of_noise(self, h: Hyperparameters) -> float:
-        """The same up to a number that only depends on spacing, reach, lengthscale and divergence_weight."""
+        """Give it up to a number that only depends on spacing, reach, lengthscale and divergence_weight."""
         try:
             fit = self._fit(h)
         except np.linalg.LinAlgError:
@@ -103,7 +103,7 @@ class EvidenceSearch:
         return float(np.sqrt(self._fit(h).square / self.field.size))
 
     def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
-        """How evidence and noise level change with the noise, at numbers of finite evidence."""
+        """Give the slopes of evidence and noise level with the noise, at numbers of finite evidence."""
         shape, cells = self._shape(h), self._model(h).cells
         if self._last is None or self._last[0] != h:
             self._last = h, self._factor(h, self._observed(h), self.precision)[1]
@@ -149,7 +149,7 @@ class EvidenceSearch:
         return SplineModel(h, *self._bases[key])
 
     def _observed(self, h: Hyperparameters) -> SplineInformation:
-        """What the samples say about splines of one spacing and reach, said once."""
+        """Collect the samples' information on splines of one spacing and reach, once."""
         key = (h.spacing, h.reach)
         if key not in self._data:
             self._data[key] = self._model(h).observe(self.points, self.field)
@@ -161,7 +161,7 @@ class EvidenceSearch:
             A, factor = self._factor(h, data, self.precision)
             self._last = h, factor
             w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
-            # As the first solution has it, which is off by the square of its error; and that.
+            # The first solution's value, which is off by the square of its error; and that square.
             square = data.square - float((data.eta + left) @ w) - float(left @ change)
             # Rounding errors may not pass for a perfect fit.
             square = max(square, 1e-12 * data.square, 1e-300)
@@ -191,7 +191,7 @@ class EvidenceSearch:
         return self._shapes[key]
 
     def _log_determinant(self, h: Hyperparameters) -> float:
-        """Of the prior's shape, factorised once."""
+        """Factorise the prior's shape once for its log-determinant."""
         key = _shape_of(h)
         if key not in self._log_determinants:
             factor = factorise(self._model(h).elimination, self._shape(h), self.precision)
@@ -213,7 +213,7 @@ def _solve(
 
 
 def integrated_autocorrelation_time(residuals: Vectors, order: Indices) -> float:
-    """How many neighbouring samples of a path count as one independent measurement (Sokal 1997).
+    """Give the number of neighbouring samples of a path that count as one measurement (Sokal 1997).
 
     ``1 + 2 sum of the autocorrelation`` up to where it fades, at most 16; samples left out leave gaps in ``order``.
     """

@@ -56,7 +56,7 @@ def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparame
 
 
 def _start(points: Points, field: Vectors, length: float, layout: SplineLayout) -> Hyperparameters:
-    """Where the search starts: the scale at which the field changes, and the spacing the survey can afford."""
+    """Give the start of the search: the scale at which the field changes, and the spacing the survey can afford."""
     signal = float(np.sqrt(field.var(axis=0).mean()))
     ratio, divergence_weight = START_OF_A_PATH if layout.is_path else START
     spacing = max(length / LENGTHSCALE_IN_SPACINGS, layout.closest)
@@ -68,7 +68,7 @@ def _start(points: Points, field: Vectors, length: float, layout: SplineLayout) 
 
 
 def _without_evidence(points: Points, field: Vectors, length: float, floor: float) -> Hyperparameters:
-    """If the evidence cannot be computed: a broad prior about the measured field."""
+    """Give a broad prior about the measured field, if the evidence cannot be computed."""
     length = length or LONELY_LENGTHSCALE
     signal = max(float(np.sqrt(field.var(axis=0).mean())), 10 * floor)
     spacing = length / LENGTHSCALE_IN_SPACINGS

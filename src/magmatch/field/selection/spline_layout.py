@@ -50,7 +50,7 @@ class SplineLayout:
         return cls(distance, (CLOSEST_OF_A_PATH if is_path else anywhere) * distance, is_path)
 
     def reach(self, spacing: float) -> float:
-        """How far beyond samples cells of a spacing have to reach."""
+        """Give the distance beyond samples to which cells of a spacing have to reach."""
         return REACH_OF_A_PATH if self.is_path else rounded(max(REACH, WIDEST_GAP * self.distance / spacing + 0.5))
 
     def extrapolating(self, points: Points, h: Hyperparameters) -> Hyperparameters:

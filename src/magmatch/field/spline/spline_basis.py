@@ -24,7 +24,7 @@ THIRD = np.array(
 
 
 def _index_of(derivatives: np.ndarray, n_axes: int) -> np.ndarray:
-    """Where the derivative along axes (a, b, ...) stands in a list of distinct derivatives."""
+    """Find the derivative along axes (a, b, ...) in a list of distinct derivatives."""
     index = np.empty((3,) * n_axes, dtype=np.int64)
     for axes in np.ndindex(index.shape):
         orders = np.bincount(axes, minlength=3)

@@ -53,7 +53,7 @@ def evaluate_on_grid(cells: CellGrid, axes: Axes, weights: Scalars, order: int) 
 
 
 def _places(derivatives: np.ndarray) -> np.ndarray:
-    """Where the sums of a point hold each derivative of the potential."""
+    """Say where the sums of a point hold each derivative of the potential."""
     in_plane = [int(np.flatnonzero((d[:2] == _IN_PLANE).all(axis=1))[0]) for d in derivatives]
     return np.asarray(derivatives[:, 2] * _WIDTH + in_plane, dtype=np.uint64)
 

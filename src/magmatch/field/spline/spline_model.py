@@ -42,7 +42,7 @@ HIGHEST_INFORMATION_RATIO = 3e3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SplineInformation:
-    """What samples say about the weights, in units of the noise: sums over samples, so they subtract."""
+    """The samples' information on the weights, in units of the noise: sums over samples, so they subtract."""
 
     gram: StencilMatrix  # ``sum W Phi^T Phi``
     eta: np.ndarray  # (m + 3,), T: ``sum W Phi^T b``
@@ -99,7 +99,7 @@ class SplineModel:
         return SplinePosterior(self.hyperparameters, self.cells, Factors.of(factor), factor.solve(information.eta))
 
     def infer_in_single_precision(self, information: SplineInformation) -> "SplinePosterior":
-        """The same mean by a factor in single precision, in two thirds of the time; in double where that must be."""
+        """Infer the mean by a factor in single precision, in two thirds of the time; in double where that must be."""
         if self.information_ratio(information) > HIGHEST_INFORMATION_RATIO:
             return self.infer(information)
         A = self.precision(information)

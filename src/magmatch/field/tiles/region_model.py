@@ -42,7 +42,7 @@ class WholeModel(SplineModel):
         return task.recall(stored[WHOLE].weights if is_same else next(Runner(run)(fit_weights, [task.as_task])))
 
     def tasks_of(self, points: Points, field: Vectors) -> TileTasks:
-        """What the weights follow from."""
+        """Give the tasks from which the weights follow."""
         every = [np.arange(len(points))]
         return TileTasks(self.hyperparameters, None, [WHOLE], points, every, ((points, field),), [every])
 
@@ -67,7 +67,7 @@ def fit_operations(points: Points, hyperparameters: Hyperparameters) -> float:
 
 
 def tiles_to_store(posterior: FieldPosterior, points: Points, field: Vectors) -> dict[Index, StoredTile]:
-    """What to store of a posterior of these samples, so that it need not be fitted again; of other priors nothing."""
+    """Give what is stored of a posterior, so that it need not be fitted again; of other priors nothing."""
     weights = posterior.weights_by_tile
     if not weights:
         return {}

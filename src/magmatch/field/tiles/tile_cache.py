@@ -22,7 +22,7 @@ class TileCache:
         self._made = OrderedDict[int, SplinePosterior]()
 
     def find(self, number: int, make: Callable[[], SplinePosterior]) -> SplinePosterior:
-        """What was made under a number, or else make it."""
+        """Give what was made under a number, or else make it."""
         with self._lock:
             found = self._offered.get(number) or self._made.get(number)
             if number in self._made:

@@ -76,7 +76,7 @@ class TileTask:
         return SplineModel(self.hyperparameters, cells, order_elimination(cells))
 
     def observe(self, model: SplineModel) -> SplineInformation:
-        """What the tile's samples say."""
+        """Collect the information of the tile's samples."""
         total, *left_out = (model.observe(*self._inside(*part)) for part in self.parts)
         for information in left_out:
             total = total - information
@@ -141,6 +141,6 @@ class TileTasks:
         return TileTask(self.hyperparameters, self.tiling, self.tiles[number], around, parts)
 
     def fingerprint(self, index: Index) -> str:
-        """What tells the inputs of a tile from all others; empty where there is no such tile."""
+        """Tell the inputs of a tile from all others; empty where there is no such tile."""
         place = bisect_left(self.tiles, index)
         return self.task(place).fingerprint() if index in self.tiles[place : place + 1] else ""

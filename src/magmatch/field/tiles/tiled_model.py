@@ -29,7 +29,7 @@ N_WEIGHED_TILES = 9
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TiledInformation:
-    """What samples say about all tiles: the samples themselves, less those of all further parts."""
+    """The samples' information on all tiles: the samples themselves, less those of all further parts."""
 
     parts: tuple[Samples, ...]
 
@@ -100,11 +100,11 @@ class TiledModel:
         return TiledPosterior(tasks, [found[index] for index in self.tiles], factored)
 
     def tasks_of(self, points: Points, field: Vectors) -> TileTasks:
-        """What the weights of each tile follow from."""
+        """Give the task from which the weights of each tile follow."""
         return self.tasks(self.observe(points, field))
 
     def tasks(self, information: TiledInformation) -> TileTasks:
-        """What the fit of each tile depends on."""
+        """Give all that the fit of each tile depends on."""
         rows = [
             self.rows if points is self.points else self.tiling.assign(points, self.tiles)
             for points, _ in information.parts
@@ -116,7 +116,7 @@ class TiledModel:
 
 @single_threaded
 def _fit_here(tasks: TileTasks, factored: TileCache, number: int) -> Scalars:
-    """What `fit_weights` gives of a tile, whose factor is offered to those who want it later."""
+    """Do as `fit_weights` for a tile, whose factor is offered to those who want it later."""
     posterior = tasks.task(number).infer()
     factored.offer(number, posterior)
     return posterior.weights

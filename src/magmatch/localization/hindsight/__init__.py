@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a body was, by all of a log: both directions compared, believed as far as they agree, and fused."""
+"""All of a log says where a body was: both directions are compared, believed as far as they agree, and fused."""

@@ -56,7 +56,7 @@ def _only(estimates: Sequence[PoseEstimate], stands: Mask) -> list[PoseEstimate]
 
 
 def reversed_log(walk: Survey) -> Survey:
-    """The same path walked backward."""
+    """Walk the path backward."""
     times, R = walk.times, walk.orientations
     return replace(
         walk,

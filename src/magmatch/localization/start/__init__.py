@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a body may have started: all places and headings scored, the best refined."""
+"""A body may have started anywhere: all places and headings are scored, and the best refined."""

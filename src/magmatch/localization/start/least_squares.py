@@ -27,7 +27,7 @@ class Priors(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Where the loops put what they work on: normal equations; of one bin what was looked up, slopes, vectors."""
+    """Arrays that the loops work on: normal equations; of one bin what was looked up, slopes, vectors."""
 
     A: np.ndarray
     v: np.ndarray

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a stretch of path may begin in a map: every place and heading is scored, the best are refined and replayed.
+"""A piece of path may begin anywhere in a map: every place and heading is scored, the best are refined and replayed.
 
 Where gravity is known four numbers are searched; the sensor's bias, linear in the readings, is solved for at each.
 Where it is not, pairs of points propose poses, as for a walk in a registration, of a sensor whose bias is small.

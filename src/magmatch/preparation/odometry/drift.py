@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What slam and localisation assume of odometry: how it drifts, and how well gravity and a floor hold its poses."""
+"""Slam and localisation assume this of odometry: how it drifts, and how well gravity and a floor hold its poses."""
 
 from collections.abc import Sequence
 from typing import Annotated

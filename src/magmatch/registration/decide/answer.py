@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Posterior, effective_evidence
+from magmatch.registration.decide.posterior import Posterior
 from magmatch.registration.decide.support import Support
 from magmatch.registration.result import Alternative, RegistrationResult, Status
 from magmatch.registration.weigh.hypothesis import Hypothesis
@@ -45,7 +45,7 @@ def state_answer(
         alternatives=() if is_accepted else (first, *others),
         evidence={
             "log_odds": best.log_evidence,
-            "effective": effective_evidence(best.log_evidence, best.misfit),
+            "effective": posterior.answers[0].effective,
             "lead": posterior.lead,
             "misfit": best.misfit if np.isfinite(best.misfit) else None,
             "probability_elsewhere": posterior.rivals,

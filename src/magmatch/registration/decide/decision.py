@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Posterior, effective_evidence, needed_evidence
+from magmatch.registration.decide.posterior import Posterior, needed_evidence
 from magmatch.registration.result import Status
 from magmatch.registration.weigh.hypothesis import Hypothesis
 from magmatch.settings import Settings
@@ -78,7 +78,7 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
             f"{np.floor(max(best.attainable, 0)):.0f} nats, {np.ceil(needed):.0f} are needed; "
             "survey a larger area or closer to iron",
         )
-    effective = effective_evidence(best.log_evidence, best.misfit)
+    effective = posterior.answers[0].effective
     likely = "probably different places" if posterior.null > 0.5 else "perhaps different places"
     return Verdict(
         Status.INCONSISTENT,

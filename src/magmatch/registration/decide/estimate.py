@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A pose with its covariance in the surveys' own frames, and its insufficiently determined directions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import adjoint, rotation_matrix
+from magmatch.geometry import adjoint, perturbation, perturbation_between, rotation_matrix
 from magmatch.registration.result import DegenerateDirection
 from magmatch.registration.weigh.hypothesis import Hypothesis
 from magmatch.typing import Covariance6, Vector3
@@ -30,8 +31,21 @@ class Estimate:
         covariance = None if pose.covariance is None else M @ pose.covariance @ M.T
         return cls(T, T_target_model.apply(pose.center), covariance)
 
+    @classmethod
+    def mixture(cls, models: Sequence["Estimate"], shares: Sequence[float]) -> "Estimate":
+        """Moments of one pose under several models of some probability each: their spread is uncertainty, too."""
+        best, weights = models[0], np.array(shares) / sum(shares)
+        known = [one.covariance for one in models if one.covariance is not None]
+        if len(models) == 1 or len(known) < len(models):
+            return best
+        c = best.center
+        off = np.stack([perturbation_between(best.T_base_target, one.T_base_target, c) for one in models])
+        mean, within = weights @ off, np.tensordot(weights, known, axes=1)
+        spread = (off - mean).T @ (weights[:, None] * (off - mean))
+        return cls(best.T_base_target * perturbation(mean, c), c, within + spread)
+
     def with_spread(self, covariance: Covariance6) -> "Estimate":
-        """The same pose with a further covariance added; without any covariance it is unchanged."""
+        """Add a further covariance to a pose; without any covariance it is unchanged."""
         return self if self.covariance is None else replace(self, covariance=self.covariance + covariance)
 
     @property

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Posterior probabilities of the poses, and of the hypothesis that the two surveys are unrelated.
+"""The posterior over poses and models of them, and the hypothesis that the two surveys are unrelated.
 
+Poses within the accuracy asked for are one answer, under whatever models: the probability stated is that a pose is
+right to so much.
 Evidence assumes that residuals are no larger than expected and that model errors are independent. Residuals larger
 than expected amount to fewer independent samples, so evidence is divided by their dispersion, the square of the
 misfit (quasi-likelihood: R. Wedderburn, Biometrika 61(3), 1974). Errors common to all samples do not average out, so
@@ -16,15 +18,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Generic, TypeVar
+from typing import Generic
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from magmatch.geometry import is_one_pose
-from magmatch.registration.weigh.hypothesis import Hypothesis, Kind
-
-H = TypeVar("H", bound=Hypothesis)
+from magmatch.registration.weigh.hypothesis import H, Kind
 
 
 class Fitted(BaseModel):
@@ -36,6 +36,14 @@ class Fitted(BaseModel):
     saturation: float = Field(gt=0)  # nats: evidence above which it counts logarithmically
     # For each kind of evidence, a correction for what unrelated surveys reach; 0 if nothing was fitted
     offset: dict[Kind, float]
+
+    def log_odds(self, effective: float, kind: Kind) -> float:
+        """Log odds over unrelated surveys, at prior odds of one, of effective evidence (nats)."""
+        return float(self.scale * np.arcsinh(effective / self.saturation) - self.offset.get(kind, 0.0))
+
+    def effective(self, log_odds: float, kind: Kind) -> float:
+        """Effective evidence (nats) that has such log odds."""
+        return float(self.saturation * np.sinh((log_odds + self.offset.get(kind, 0.0)) / self.scale))
 
 
 @cache
@@ -61,42 +69,71 @@ def effective_evidence(log_evidence: float, misfit: float) -> float:
 
 def log_odds(log_evidence: float, misfit: float, kind: Kind, numbers: Fitted | None = None) -> float:
     """Log odds of one pose over unrelated surveys, at prior odds of one, nats."""
-    numbers = numbers or law_of(kind)
-    if not np.isfinite(log_evidence):
-        return -np.inf
     effective = effective_evidence(log_evidence, misfit)
-    return float(numbers.scale * np.arcsinh(effective / numbers.saturation) - numbers.offset.get(kind, 0.0))
+    return (numbers or law_of(kind)).log_odds(effective, kind) if np.isfinite(effective) else -np.inf
 
 
 def needed_evidence(probability: float, kind: Kind, prior_odds: float = 1.0) -> float:
     """Effective evidence that a pose without rivals needs for a given probability, nats."""
-    numbers = fitted()
-    wanted = np.log(probability / (1 - probability)) - np.log(prior_odds) + numbers.offset[kind]
-    return float(numbers.saturation * np.sinh(wanted / numbers.scale))
+    return law_of(kind).effective(float(np.log(probability / (1 - probability)) - np.log(prior_odds)), kind)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Answer(Generic[H]):
+    """Hypotheses of poses that are one answer: one pose under several models."""
+
+    hypotheses: tuple[H, ...]  # the most probable first
+    effective: float  # nats: evidence of all together, divided by the dispersion of each one's residuals
+
+    @classmethod
+    def of(cls, hypotheses: Sequence[H]) -> "Answer[H]":
+        """Add up the evidence of models of one pose; at least one hypothesis."""
+        ranked = sorted(hypotheses, key=lambda h: -_effective(h))
+        return cls(tuple(ranked), float(np.logaddexp.reduce([_effective(h) for h in ranked])))
+
+    @property
+    def best(self) -> H:
+        """The most probable hypothesis."""
+        return self.hypotheses[0]
+
+    @property
+    def log_odds(self) -> float:
+        """Log odds over unrelated surveys, at prior odds of one, nats."""
+        return law_of(self.best.kind).log_odds(self.effective, self.best.kind)
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """The share of each hypothesis in the answer's probability; they sum to one."""
+        return tuple(float(np.exp(_effective(h) - self.effective)) for h in self.hypotheses)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Posterior(Generic[H]):
-    """Probabilities of mutually exclusive poses and of unrelated surveys; they sum to one."""
+    """Probabilities of mutually exclusive answers and of unrelated surveys; they sum to one."""
 
-    poses: tuple[H, ...]  # most probable first
-    probabilities: tuple[float, ...]  # one per pose
+    answers: tuple[Answer[H], ...]  # most probable first
+    probabilities: tuple[float, ...]  # one per answer
     elsewhere: float  # of the best pose in another base
     null: float  # that base and target are unrelated
 
     @property
+    def poses(self) -> tuple[H, ...]:
+        """The most probable hypothesis of each answer."""
+        return tuple(answer.best for answer in self.answers)
+
+    @property
     def best(self) -> float:
-        """Probability of the most probable pose; 0 if there is none."""
+        """Probability of the most probable answer; 0 if there is none."""
         return self.probabilities[0] if self.probabilities else 0.0
 
     @property
     def rivals(self) -> float:
-        """Probability of all other poses together."""
+        """Probability of all other answers together."""
         return sum(self.probabilities[1:]) + self.elsewhere
 
     @property
     def lead(self) -> float | None:
-        """Log odds of the most probable pose over any other, nats; None if there is no other."""
+        """Log odds of the most probable answer over any other, nats; None if there is no other."""
         rival = max([*self.probabilities[1:], self.elsewhere])
         return float(np.log(self.best / rival)) if rival > 0 and self.best > 0 else None
 
@@ -106,25 +143,38 @@ def posterior_over(
 ) -> Posterior[H]:
     """Weigh poses of one target in one base against each other and against unrelated surveys.
 
-    Poses no farther apart than the tolerance (m, rad), at the target's centre, are one answer; the more probable is
-    kept. ``prior_odds``: that both surveys cover a common place; ``elsewhere``: log odds of the best pose in another
-    base, nats.
+    Poses no farther apart than the tolerance (m, rad), at the target's centre, are one answer. ``prior_odds``: that
+    both surveys cover a common place; ``elsewhere``: log odds of the best pose in another base, nats.
     """
-    return posterior_of(distinct(_ranked(hypotheses), tolerance), prior_odds, elsewhere)
+    return posterior_of(answers_of(hypotheses, tolerance), prior_odds, elsewhere)
 
 
-def posterior_of(distinct: Sequence[H], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
-    """`posterior_over` for poses of which no two are one answer."""
-    kept = _ranked(distinct)
-    odds = [log_odds(h.log_evidence, h.misfit, h.kind) for h in kept]
-    terms = np.array([*odds, elsewhere, -np.log(prior_odds)])
+def posterior_of(answers: Sequence[Answer[H]], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
+    """`posterior_over` for answers that exclude each other."""
+    ranked = sorted(answers, key=lambda answer: -answer.log_odds)
+    terms = np.array([*(answer.log_odds for answer in ranked), elsewhere, -np.log(prior_odds)])
     shares = np.exp(terms - np.logaddexp.reduce(terms))
-    return Posterior(tuple(kept), tuple(map(float, shares[:-2])), float(shares[-2]), float(shares[-1]))
+    return Posterior(tuple(ranked), tuple(map(float, shares[:-2])), float(shares[-2]), float(shares[-1]))
 
 
-def _ranked(hypotheses: Sequence[H]) -> list[H]:
-    odds = {id(h): log_odds(h.log_evidence, h.misfit, h.kind) for h in hypotheses}
-    return sorted((h for h in hypotheses if np.isfinite(odds[id(h)])), key=lambda h: -odds[id(h)])
+def answers_of(hypotheses: Sequence[H], tolerance: tuple[float, float]) -> list[Answer[H]]:
+    """Gather hypotheses about the most probable ones, no farther from them than the tolerance (m, rad).
+
+    Of one model each answer has the most probable pose: a search may find the same one from many starts.
+    """
+    found = list[list[H]]()
+    ranked = sorted((h for h in hypotheses if np.isfinite(_effective(h))), key=lambda h: -_effective(h))
+    for h in ranked:
+        same = next((one for one in found if is_same_answer(h, one[0], tolerance)), None)
+        if same is None:
+            found.append([h])
+        elif all(h.model != other.model for other in same):
+            same.append(h)
+    return [Answer.of(one) for one in found]
+
+
+def _effective(h: H) -> float:
+    return effective_evidence(h.log_evidence, h.misfit)
 
 
 def distinct(ranked: Iterable[H], tolerance: tuple[float, float]) -> list[H]:
@@ -136,6 +186,6 @@ def distinct(ranked: Iterable[H], tolerance: tuple[float, float]) -> list[H]:
     return kept
 
 
-def is_same_answer(one: Hypothesis, other: Hypothesis, tolerance: tuple[float, float]) -> bool:
+def is_same_answer(one: H, other: H, tolerance: tuple[float, float]) -> bool:
     """Whether two poses of a target are one answer."""
     return is_one_pose(one.T_base_target, other.T_base_target, one.center, tolerance)

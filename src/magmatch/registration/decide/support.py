@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a result states besides its pose: residual, sensor, fitness and the points that agree."""
+"""A result states more than its pose: residual, sensor, fitness and the points that agree."""
 
 from dataclasses import dataclass, field
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What registration and localisation need of one base map, made when it is first needed and kept beside the map.
+"""Registration and localisation need an index of a base map, made when first needed and kept beside the map.
 
 What is kept is a cache: it is used only for the content of the map, the settings and the program that it was made
 by. Nothing is lost by deleting it, and where it cannot be written it is made each time.
@@ -69,7 +69,7 @@ class MapIndex:
 
     @property
     def walks(self) -> WalkIndex:
-        """What walks need in addition, computed on first use."""
+        """The part that walks need in addition, computed on first use."""
         if not self._walks:
             self._walks.append(self.make_walks())
             self.keep()
@@ -133,7 +133,7 @@ class MapIndex:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class IndexFile:
-    """What was prepared of a map, opened but hardly read."""
+    """An index in its file, opened but hardly read."""
 
     content: dict[str, Any]  # of `MapIndex.content`
     config: RegistrationConfig
@@ -141,7 +141,7 @@ class IndexFile:
 
     @property
     def key(self) -> str:
-        """What it was made from."""
+        """The key of the map, settings and program it was made from."""
         return str(self.content["key"])
 
     @property
@@ -192,7 +192,7 @@ class IndexFile:
 
 
 def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapIndex:
-    """What any target needs of a base map, as it was kept, or made now.
+    """Give the index of a base map, as it was kept, or made now.
 
     It is independent of the seed, so that what was kept gives the same answer.
     """
@@ -241,7 +241,7 @@ def index_path(map_path: str | Path) -> Path:
 
 
 def index_key(file: MapFile, config: RegistrationConfig) -> str:
-    """What it must have been made from to be valid: SHA-256 of the map's content, the settings and the program."""
+    """Give the key of a valid index: SHA-256 of the map's content, the settings and the program."""
     made_with = {
         "map": file.sha256,
         "n_draws": config.invariants.n_draws,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What any number of walks need of one base map: the residuals' covariance and the pairs of points."""
+"""Any number of walks need this of one base map: the residuals' covariance and the pairs of points."""
 
 from dataclasses import dataclass
 

@@ -9,9 +9,6 @@ from scipy.linalg import svd
 from magmatch.geometry import skew
 from magmatch.typing import Covariance6, Matrix, Points
 
-# Rates at which surveys may drift, m per sqrt(m) walked, equally likely: from a SLAM's own correction to dead
-# reckoning.
-RATES = (0.02, 0.05, 0.1, 0.2)
 # Turn that comes with a shift of one metre, rad/m: what dead reckoning loses of both (0.6 deg with 10 cm).
 TURN_PER_SHIFT = 0.1
 # Modes kept: of a random walk, the variance of the k-th falls with its square.
@@ -51,7 +48,7 @@ def bending_of(positions: Points) -> Bending:
 
 
 def _rigid_motions(positions: Points) -> Matrix:
-    """What a turn about the path's centre and a shift do to turns and shifts of its points: (6 n, 6)."""
+    """Give the effect of a turn about the path's centre and a shift on turns and shifts of its points: (6 n, 6)."""
     lever = -skew(positions - positions.mean(axis=0))
     eye = np.broadcast_to(np.eye(3), lever.shape)
     rows = np.concatenate([np.concatenate([eye, 0 * eye], axis=2), np.concatenate([lever, eye], axis=2)], axis=1)

@@ -46,7 +46,7 @@ class Hypotheses(NamedTuple):
         )
 
     def carry(self, p_target: Vector3) -> Points:
-        """Where each pose puts a given point of the target: (h, 3), m."""
+        """Carry a given point of the target by each pose: (h, 3), m."""
         arms = p_target - self.anchors_target[self.anchor_rows]
         moved: Points = self.anchors_base + np.einsum("nij,nj->ni", self.rotations, arms)
         return moved

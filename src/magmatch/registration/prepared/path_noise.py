@@ -26,7 +26,7 @@ from magmatch.registration.prepared.prepared_map import N_DRAWS
 from magmatch.registration.prepared.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
-# Of the base's path: length of a held-out stretch in correlation lengths; each held-out set takes a refit.
+# Length of a held-out stretch of the base's path in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
 # Prior spread (natural log) of the parameters about their guesses, and of one walk's covariance about another's; and
 # the number of stretches that the guess of the latter counts as.
@@ -220,7 +220,7 @@ def most_likely(guess: PathNoise, stretches: list[Stretch], known: Collection[st
 
 
 def likelier_of_kinds(guess: PathNoise, stretches: list[Stretch]) -> PathNoise:
-    """The same, with a misfit that is rough or smooth: whichever makes the residuals likelier."""
+    """Choose a misfit that is rough or smooth: whichever makes the residuals likelier."""
     found = [_maximise(replace(guess, is_smooth=is_smooth), stretches) for is_smooth in (False, True)]
     return min(found, key=lambda one: one[1])[0]
 

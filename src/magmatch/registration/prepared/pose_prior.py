@@ -33,7 +33,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class PosePriorConfig(Settings):
-    """What is known of the pose beforehand; nothing by default."""
+    """Knowledge of the pose beforehand; nothing by default."""
 
     # Rough T_base_target: x, y, z (m), then the quaternion qx, qy, qz, qw.
     pose: tuple[float, float, float, float, float, float, float] | None = None
@@ -234,7 +234,7 @@ class PosePrior:
 
 
 def _room() -> tuple[np.ndarray, Matrix]:
-    """For how a pose is off another: turn and shift, and the turn as a matrix."""
+    """Make room for a pose's offset from another: turn and shift, and the turn as a matrix."""
     return np.empty(6), np.empty((3, 3))
 
 

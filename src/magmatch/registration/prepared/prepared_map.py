@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a search needs of one map, computed once, in the map's own model frame.
+"""A search needs this of one map, computed once, in the map's own model frame.
 
 The model frame moves with the survey, which makes the answer equivariant under rigid motions.
 """
@@ -57,7 +57,7 @@ class PreparedMap:
     draws: Callable[[], Sequence[Any]]
 
     def part(self, rows: Indices) -> "PreparedMap":
-        """The same map with some of its samples, for comparing them with another map."""
+        """Take some of the map's samples, for comparing them with another map."""
         drift = replace(self.drift, stretch=self.drift.stretch[rows])
         return replace(self, samples=self.samples[rows], sample_field=self.sample_field[rows], drift=drift)
 

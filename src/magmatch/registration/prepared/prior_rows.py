@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a pose prior says of many poses: compiled loops that add information, gradient and chi^2, or that rule out."""
+"""A pose prior speaks of many poses: compiled loops add information, gradient and chi^2, or rule out."""
 
 import numpy as np
 

@@ -22,9 +22,10 @@ from magmatch.geometry import perturbation, perturbation_between, rotate_vectors
 from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
 from magmatch.registration.prepared.hypotheses import N_REFINED, POSE_SHIFT, POSE_TURN
+from magmatch.registration.prepared.model_prior import SENSORS_DIFFER
 from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
-from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, prior_sd
+from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, levels_to_try, prior_sd
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
@@ -79,6 +80,7 @@ class RefinedPose:
     sensor_sd: np.ndarray  # (k,): prior standard deviations that the sensor's parameters were given
     prior_information: Matrix  # (6, 6): information of the pose prior, about the centre
     blocks: tuple[ResidualBlock, ...]  # one for each direction of comparison; empty if the maps hardly overlap
+    log_prior: float = 0.0  # nats: of this sensor model, beside the others
 
     @property
     def known_before(self) -> Matrix:
@@ -104,10 +106,11 @@ def refine(
     rows = some_rows(base, target, config, rng)
     center = target.samples.mean(axis=0)
     if isinstance(start, RefinedPose):
-        T, sensor, sd = start.T_base_target, start.sensor, start.sensor_sd
+        T, sensor, sd, log_prior = start.T_base_target, start.sensor, start.sensor_sd, start.log_prior
     else:
         T, sensor = start, identical_sensors(config.sensor, level)
         sd = prior_sd(config.sensor, level, sensor.n_parameters)
+        log_prior = SENSORS_DIFFER * levels_to_try(config.sensor).index(level)
     lengthscale = common_length(base, target)
     for _ in range(config.n_steps):
         blocks = compare(base, target, T, center, sensor, rows)
@@ -129,7 +132,7 @@ def refine(
         if float(xi @ A @ xi) < CLOSE**2:
             break
     known = prior.rows(T, center)[0]
-    return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows))
+    return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows), log_prior)
 
 
 def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:

@@ -4,7 +4,7 @@
 The target's readings are corrected as ``b' = (I + D)^-1 (b - c)``, c the bias and D the scale (``s I``) or the full
 soft-iron matrix. Both are constant in the target's survey frame, which is exact for a sensor with constant attitude
 and an approximation otherwise. With a free bias, correlated map error would be mistaken for bias. Its prior is
-therefore one of a few levels, and a wider one than the tightest needs clear evidence.
+therefore one of a few levels, and each wider one than the tightest pays beforehand (`prepared/model_prior.py`).
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,12 @@ from magmatch.typing import Matrix, Vectors
 
 SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 
-# Gain in log evidence (nats) that a freer model must bring: sensors that differ, or something that moved.
-MIN_GAIN = 15.0
 # Prior standard deviation of what must not differ, T: rounding.
 TIED_SD = float(np.sqrt(np.finfo(float).eps)) * CONSTANT_SD
 
 
 class SensorConfig(Settings):
-    """What may differ between the two magnetometers."""
+    """The differences that are allowed between the two magnetometers."""
 
     # 'auto': bias and scale, and soft iron, at the level that the evidence supports; 'none': identical sensors;
     # 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
@@ -83,7 +81,7 @@ class SensorModel:
 
 
 def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
-    """Prior levels in the order they are tried; a later one must gain `MIN_GAIN` in evidence.
+    """Prior levels in the order they are tried.
 
     With 'auto', soft iron follows the widest level of bias and scale, if the sensors differ at all.
     """

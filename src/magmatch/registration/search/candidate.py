@@ -28,7 +28,7 @@ class Given:
     is_alone: bool = False
 
     def between(self, T_base_model: RigidTransform, T_target_model: RigidTransform) -> SearchResult:
-        """The same poses in the frames in which poses are searched."""
+        """Express the poses in the frames in which poses are searched."""
         poses = tuple(T_base_model.inv() * T * T_target_model for T in self.poses)
         return SearchResult(poses, is_unordered=True)
 

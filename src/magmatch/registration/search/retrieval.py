@@ -75,7 +75,7 @@ def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfi
 
 
 class Question(NamedTuple):
-    """What tables of one scale are asked of a walk: some pairs of its bins, and their invariants."""
+    """The pairs of a walk's bins, and their invariants, that are looked up in tables of one scale."""
 
     walk: Walk
     first: Indices

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How far a target bends along its path: the difference between its halves' poses, which no rigid pose follows."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
-from scipy.special import chdtri
+from scipy.special import expit, gammainc, gammaln
 
 from magmatch.field.folds import has_path_order
 from magmatch.geometry import adjoint, path_walked, rotation_matrix
@@ -17,10 +17,14 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, common_leng
 from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
+from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.map_covariance import map_covariance
 from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, LineEvidence, weigh_walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Vector3
 
+W = TypeVar("W", PoseEvidence, LineEvidence)
+
+EPS = float(np.finfo(float).eps)
 DRIFTS = "the target's positions or orientations drift"
 NO_ROWS = np.zeros(0, dtype=np.int64)
 REMEDY = "register shorter pieces, or correct the walk with magmatch slam"
@@ -38,16 +42,46 @@ class Bend:
     reach: float
 
     @property
-    def chi2(self) -> float:
-        """Chi-square statistic, with 6 degrees of freedom if the walk is rigid."""
-        return float(self.xi @ np.linalg.solve(self.covariance, self.xi))
+    def half_chi2(self) -> float:
+        """Half of the chi-square statistic, which has 6 degrees of freedom if the walk is rigid."""
+        return float(self.xi @ np.linalg.solve(self.covariance, self.xi)) / 2
 
-    def is_sure(self, probability: float) -> bool:
-        """Whether a rigid walk can be rejected with this probability."""
-        return self.chi2 > float(chdtri(6, 1 - probability))
+    @property
+    def log_ratio(self) -> float:
+        """Log evidence of a walk that bends over that of a rigid one, nats.
+
+        A bend is normal, with the covariance of the halves' difference times g, and 1 / (1 + g) = u has the density
+        1 / (2 sqrt(u)) (F. Liang et al., Journal of the American Statistical Association 103(481), 2008): a bend may
+        be of any size. Over u is integrated: ``u^3 exp(c (1 - u))``, c half of the chi-square.
+        """
+        c, a = max(self.half_chi2, EPS), len(self.xi) / 2 + 0.5
+        return float(c - np.log(2) + np.log(gammainc(a, c)) + gammaln(a) - a * np.log(c))
+
+    @property
+    def probability(self) -> float:
+        """Probability that the walk bends, by its halves alone, if beforehand it is as likely as not."""
+        return float(expit(self.log_ratio))
+
+    @property
+    def share(self) -> float:
+        """Share of the halves' difference that is the bend's, not noise: the posterior mean of 1 - u."""
+        c, a = max(self.half_chi2, EPS), len(self.xi) / 2 + 0.5
+        return float(1 - a / c * gammainc(a + 1, c) / gammainc(a, c))
+
+    def among(self, pose: W) -> tuple[W, W]:
+        """The hypotheses that take a rigid pose's place: rigid, and of a target that bends.
+
+        Both share the evidence for the place: halves of a wrong pose differ, too.
+        """
+        both = float(np.logaddexp(0, self.log_ratio))
+        rigid, bent = (
+            replace(pose, model=model, log_evidence=pose.log_evidence + more, attainable=pose.attainable + more)
+            for model, more in ((pose.model, -both), (f"{pose.model}, bends", self.log_ratio - both))
+        )
+        return rigid, bent
 
     def seen_from(self, T_survey_walk: RigidTransform) -> "Bend":
-        """The same in the survey's axes."""
+        """Express it in the survey's axes."""
         R = np.kron(np.eye(2), rotation_matrix(T_survey_walk))
         return Bend(R @ self.xi, T_survey_walk.apply(self.center), R @ self.covariance @ R.T, self.reach)
 
@@ -56,9 +90,8 @@ class Bend:
 
         Rotation and translation need not be correlated as they are between the halves.
         """
-        turn, shift = np.split(
-            self.reach * adjoint(RigidTransform.from_translation(self.center - center)) @ self.xi, 2
-        )
+        size = self.reach * np.sqrt(self.share)
+        turn, shift = np.split(size * adjoint(RigidTransform.from_translation(self.center - center)) @ self.xi, 2)
         return np.asarray(block_diag(np.outer(turn, turn), np.outer(shift, shift)))
 
     def __str__(self) -> str:
@@ -95,13 +128,6 @@ def bend_between(T_base_walk: RigidTransform, positions: Points, is_covered: Mas
     return Bend(xi, center, total, float(np.sqrt((along**2).mean())) / between)
 
 
-def weigh_halves(
-    walk: Walk, rows: Indices, weigh: Callable[[Walk], list[LineEvidence]]
-) -> list[tuple[Indices, LineEvidence]]:
-    """Rows and best pose of each half of some bins; fewer than two if a half has no pose."""
-    return [(half, best) for half in np.array_split(rows, 2) for best in weigh(walk.part(half))[:1]]
-
-
 def bend_of_walk(
     base: PreparedMap,
     walk: Walk,
@@ -113,12 +139,11 @@ def bend_of_walk(
 ) -> Bend | None:
     """Refine the halves of the covered part from the pose of the whole; None if either has too few bins."""
     is_covered = base.raster.lookup(T_base_walk.apply(walk.positions))[3]
-
-    def weigh(half: Walk) -> list[LineEvidence]:
-        return weigh_walk(base, half, [T_base_walk], noise, length, prior, config)
-
-    found = weigh_halves(walk, np.flatnonzero(is_covered), weigh)
-    halves = [Half(rows, best.T_base_target, best.center, best.covariance) for rows, best in found]
+    halves = [
+        Half(rows, best.T_base_target, best.center, best.covariance)
+        for rows in np.array_split(np.flatnonzero(is_covered), 2)
+        for best in weigh_walk(base, walk.part(rows), [T_base_walk], noise, length, prior, config)[:1]
+    ]
     return bend_between(T_base_walk, walk.positions, is_covered, halves)
 
 

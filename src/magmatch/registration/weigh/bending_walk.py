@@ -9,7 +9,7 @@ follows from few unknowns. The walk's positions and orientations drift by a rand
     R^T K R + D S D^T + n^2 I,
 
 K the posterior's covariance between all bins, D the residuals' slopes with the bending modes (`bending.py`), S their
-variances at one rate, n the noise of a bin. Evidence and pose are averaged over the rates.
+variances at one rate, n the noise of a bin. Each rate is a model of the pose.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
-from magmatch.registration.prepared.bending import RATES, Bending, bending_of
+from magmatch.registration.prepared.bending import Bending, bending_of
 from magmatch.registration.prepared.hypotheses import N_REFINED
+from magmatch.registration.prepared.model_prior import EACH_RATE, RATES
 from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
-from magmatch.registration.weigh.mixture import in_order, mixture
+from magmatch.registration.weigh.hypothesis import in_order
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
 from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.registration.weigh.walk_rows import N_COLUMNS, residual_rows
@@ -63,13 +64,11 @@ class BendingWalk:
         return cls(base, walk, length, prior, config, null, bending_of(walk.positions))
 
     def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
-        """Refine poses at one rate, and the best few at all; best first, without those outside the base."""
+        """Refine poses at one rate, and the best few at each; best first, without those outside the base."""
         coarse = in_order(self._fit(T, MIDDLE) for T in starts)
         others = [rate for rate in RATES if rate != MIDDLE]
-        fine = [
-            mixture([one, *in_order(self._fit(one.T_base_target, r) for r in others)]) for one in coarse[:N_REFINED]
-        ]
-        return in_order([*fine, *coarse[N_REFINED:]])
+        fine = [self._fit(one.T_base_target, rate) for one in coarse[:N_REFINED] for rate in others]
+        return in_order([*coarse, *fine])
 
     @property
     def _center(self) -> Vector3:
@@ -98,7 +97,8 @@ class BendingWalk:
         n_free, chi2 = 3 * int(known.sum()) - 6, float(r @ r)
         covariance = np.linalg.inv(told / max(1.0, chi2 / n_free) + known_before)
         rest = (
-            0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
+            EACH_RATE
+            + 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
             + float(self.prior.log_densities(known_before[None], np.array([prior_chi2]))[0])
             + float(self.config.log_weight(self.walk.length / self.length, known.mean()))
             - float(np.log(np.diag(factor)).sum())
@@ -113,6 +113,7 @@ class BendingWalk:
             attainable=rest - 0.5 * min(chi2, n_free),
             misfit=float(np.sqrt(chi2 / n_free)),
             is_covered=known,
+            model=f"drifts by {rate} m per root of a metre",
         )
 
     def _rows(self, R: Matrix, p: Vector3) -> tuple[Mask, Points, Matrix, np.ndarray]:

@@ -42,7 +42,7 @@ class NullModels:
     noise_variance: float  # T^2: of one sample of both surveys together
 
     def of_base(self, positions: Points, field: Vectors) -> NullModel:
-        """Of those samples of the base that a pose puts inside the target."""
+        """Give the null model of those samples of the base that a pose puts inside the target."""
         return self.base.over(*_in_cells(positions, field, self.side, self.noise_variance))
 
 

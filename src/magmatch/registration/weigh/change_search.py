@@ -12,7 +12,6 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import MOST_STEPS, RefinedPose, step_between
-from magmatch.registration.refine.sensors import MIN_GAIN
 from magmatch.registration.weigh.cells import (
     UNCHANGED_SHARES,
     NullModels,
@@ -20,6 +19,7 @@ from magmatch.registration.weigh.cells import (
     compare_cells,
 )
 from magmatch.registration.weigh.evidence import Change, PoseEvidence, weigh_pose
+from magmatch.registration.weigh.hypothesis import in_order
 from magmatch.typing import Indices
 
 
@@ -48,10 +48,9 @@ class ChangeSearch:
         found = [
             self._best_followed(pose)
             for agreement, pose in agreements[: self.config.n_candidates]
-            if agreement + best.price > MIN_GAIN
+            if agreement + best.price > 0
         ]
-        beside = sorted((e for e in found if e is not None), key=lambda e: -e.log_evidence)
-        return beside if beside and beside[0].log_evidence > 0 else []
+        return in_order(found)
 
     def _agreement(
         self, pose: RefinedPose, shares: Sequence[float] = UNCHANGED_SHARES
@@ -93,5 +92,5 @@ class ChangeSearch:
             if float(step @ np.linalg.solve(weighed.covariance, step)) > len(step):
                 continue
             # If no cells agree better than others, the change explains the residuals of any pose.
-            return weighed if len(rows) < n_cells and weighed.misfit < self.config.max_misfit else None
+            return weighed if len(rows) < n_cells else None
         return None

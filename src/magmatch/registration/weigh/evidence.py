@@ -7,13 +7,14 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.registration.prepared.model_prior import overlap_weight
 from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.cells import NullModels, compare_back, compare_cells
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.typing import Indices, Matrix, Scalars, Vector3, Vectors
+from magmatch.typing import Indices, Matrix, Vector3, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -32,13 +33,14 @@ class PoseEvidence:
     # with the penalty for the search over all poses
     log_evidence: float
     attainable: float  # nats: the same, if the base explained all cells perfectly
-    price: float  # nats: the penalty alone, below 0
+    price: float  # nats: the penalty alone, with the prior of the model
     residual: float  # robust normalised rms residual over the overlap
     # Normalised rms of the cells' mean residuals, the larger of both surveys': about 1 when noise and the other map's
     # spread explain them
     misfit: float
     # What was estimated to have changed; all figures but `overlap` then refer to the cells that it leaves
     change: "Change | None" = None
+    model: str = "rigid"
 
     @property
     def T_base_target(self) -> RigidTransform:
@@ -64,15 +66,6 @@ class PoseEvidence:
     def good_share(self) -> float:
         """Share of the informative cells that agree."""
         return self.n_good / self.n_informative if self.n_informative else 0.0
-
-
-def overlap_weight(share: Scalars | float) -> Scalars:
-    """Log prior weight of poses, by the share of the target that each puts inside the base.
-
-    Most of all possible poses barely touch the base, but surveys of the same place usually overlap. The weight is
-    the square of the share, proportional to the number of pairs of samples in common.
-    """
-    return np.asarray(2 * np.log(share))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -132,7 +125,7 @@ def weigh_pose(
     is_informative = n2 > FAR2 * V
     sample_chi2 = seen.sample_chi2[seen.is_known & (True if change is None else null_model.cells.holds(rows))]
     log_prior = prior.log_density(pose.T_base_target, pose.center, covariance)
-    price = _search_price(joint, pose.sensor_sd, log_prior) + float(overlap_weight(overlap))
+    price = _search_price(joint, pose.sensor_sd, log_prior) + float(overlap_weight(overlap)) + pose.log_prior
     return PoseEvidence(
         pose,
         covariance,
@@ -145,6 +138,7 @@ def weigh_pose(
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
         max(side.misfit(null, r) for null, side, r in sides),
         change,
+        "rigid" if change is None else "rigid, changed",
     )
 
 

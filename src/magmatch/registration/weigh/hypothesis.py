@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A weighed pose as the decision needs it, whatever it was weighed by."""
 
-from typing import Literal, Protocol
+from collections.abc import Iterable
+from typing import Literal, Protocol, TypeVar
 
 from scipy.spatial.transform import RigidTransform
 
@@ -16,6 +17,10 @@ class Hypothesis(Protocol):
     @property
     def kind(self) -> Kind:
         """The kind of evidence: from cells of a map, bins along a walk, of a live log, or of a window of a path."""
+
+    @property
+    def model(self) -> str:
+        """Under which model it was weighed; the poses of one model are rivals, the models of one pose are not."""
 
     @property
     def T_base_target(self) -> RigidTransform:
@@ -35,7 +40,7 @@ class Hypothesis(Protocol):
 
     @property
     def attainable(self) -> float:
-        """The same, if the base explained the target up to noise, nats."""
+        """The evidence if the base explained the target up to noise, nats."""
 
     @property
     def misfit(self) -> float:
@@ -44,3 +49,11 @@ class Hypothesis(Protocol):
     @property
     def overlap(self) -> float:
         """Share of the target inside the base map."""
+
+
+H = TypeVar("H", bound=Hypothesis)
+
+
+def in_order(found: Iterable[H | None]) -> list[H]:
+    """Those that exist, with most evidence first."""
+    return sorted((one for one in found if one is not None), key=lambda one: -one.log_evidence)

@@ -2,6 +2,7 @@
 """From candidates to weighed poses: refine the best few, let the sensors differ, look for changes, finish."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -11,10 +12,11 @@ from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
-from magmatch.registration.refine.sensors import MIN_GAIN, is_soft_iron, levels_to_try
+from magmatch.registration.refine.sensors import levels_to_try
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.change_search import ChangeSearch
 from magmatch.registration.weigh.evidence import PoseEvidence, weigh_pose
+from magmatch.registration.weigh.hypothesis import in_order
 
 Weigh = Callable[[RigidTransform | RefinedPose, RefinementConfig, int], PoseEvidence]
 
@@ -30,22 +32,23 @@ def rank_poses(
     *,
     is_unordered: bool = False,
 ) -> list[PoseEvidence]:
-    """Refine candidates and order them by their evidence, best first; all of them if they come in no order."""
+    """Refine candidates, all of them if they come in no order, and the best one under each model of what differs."""
     tell("refining the best poses")
     nulls = null_models_of(base, target)
 
     def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
-        return weigh_pose(base, target, pose, nulls, prior)
+        weighed = weigh_pose(base, target, pose, nulls, prior)
+        return replace(weighed, model=f"{weighed.model}, sensors {pose.log_prior:g}") if pose.log_prior else weighed
 
     n_first = len(starts) if is_unordered else refinement.n_candidates
     ranked = _rank_candidates(starts, n_first, weigh, refinement)
     if not ranked:
         return ranked
     with_like_sensors = ranked[0].pose
-    ranked[0] = _let_sensors_differ(ranked[0], weigh, refinement)
+    ranked = in_order([*_let_sensors_differ(ranked[0], weigh, refinement), *ranked])
     beside = ChangeSearch(base, target, nulls, prior, changes, seed).poses(starts, ranked[0], with_like_sensors)
-    return beside or _finish(ranked, weigh, refinement)
+    return [*_finish(ranked, weigh, refinement), *beside]
 
 
 def _rank_candidates(
@@ -56,20 +59,19 @@ def _rank_candidates(
     ranked = [weigh(start, ranking, level) for start in starts[:n_first]]
     if max((e.log_evidence for e in ranked), default=-np.inf) < settings.clear_log_evidence:
         ranked += [weigh(start, ranking, level) for start in starts[n_first:]]
-    return sorted(ranked, key=_by_evidence)
+    return in_order(ranked)
 
 
-def _let_sensors_differ(best: PoseEvidence, weigh: Weigh, settings: RefinementConfig) -> PoseEvidence:
-    """The best pose with wider priors on the sensors' difference, if that gains enough evidence."""
+def _let_sensors_differ(best: PoseEvidence, weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
+    """The best pose with ever wider priors on the sensors' difference, as long as a wider one is more probable."""
     _, *wider = levels_to_try(settings.sensor)
-    alike = settings.sensor.bias_levels[0]
+    found = list[PoseEvidence]()
     for level in wider:
-        if is_soft_iron(settings.sensor, level) and best.pose.sensor_sd[0] == alike:
-            break  # sensors that differ in no bias and no scale
-        freer = weigh(best.pose.T_base_target, settings.for_ranking(), level)
-        if freer.log_evidence > best.log_evidence + MIN_GAIN:
-            best = freer
-    return best
+        found.append(weigh(best.pose.T_base_target, settings.for_ranking(), level))
+        if found[-1].log_evidence < best.log_evidence:
+            break
+        best = found[-1]
+    return found
 
 
 def _finish(ranked: list[PoseEvidence], weigh: Weigh, settings: RefinementConfig) -> list[PoseEvidence]:
@@ -79,16 +81,12 @@ def _finish(ranked: list[PoseEvidence], weigh: Weigh, settings: RefinementConfig
     level = levels_to_try(settings.sensor)[0]
     n_finished = sum(e is ranked[0] or e.log_evidence > ranked[0].log_evidence / 2 for e in ranked)
     ranked[:n_finished] = [weigh(e.pose, settings, level) for e in ranked[:n_finished]]
-    return sorted(ranked, key=_by_evidence)
-
-
-def _by_evidence(weighed: PoseEvidence) -> float:
-    return -weighed.log_evidence
+    return in_order(ranked)
 
 
 def _rest_together(one: PoseEvidence, other: PoseEvidence) -> bool:
-    """Whether two refined poses differ by less than the first is uncertain by."""
-    if one.covariance is None:
+    """Whether two poses refined under one model differ by less than the first is uncertain by."""
+    if one.covariance is None or one.model != other.model:
         return False
     step = step_between(one.pose, other.pose)
     return bool(step @ np.linalg.solve(one.covariance, step) < len(step))

@@ -66,6 +66,7 @@ class LineEvidence:
     attainable: float  # nats: the same, if the residuals were no larger than expected
     misfit: float  # normalised rms residual (1 when the covariance explains everything)
     is_covered: Mask  # (n,) bool: bins inside the base map
+    model: str = "drifts as the base's own stretches do"
 
 
 def weigh_walk(
@@ -169,7 +170,7 @@ class _LeastSquares:
     def _evaluate(
         self, R: Tensors, p: Points, errors: Matrix, strain: Matrix, *, is_full: bool
     ) -> tuple[_Fits, Matrix, Callable[[Matrix], Matrix]]:
-        """Where the poses stand, the gradient of half their chi^2, and the errors of shape after a step xi.
+        """Give the residuals of the poses, the gradient of half their chi^2, and the errors of shape after a step xi.
 
         The walk is bent by ``errors`` (h, m), in their standard deviations; all m are integrated out from there.
         """
@@ -304,7 +305,7 @@ def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
 
 
 def _expected_squares(C: Matrix, n: int) -> Matrix:
-    """Of each of n bins' residual vectors, by their covariances as `_whiten` takes them: (h, n)."""
+    """Give the expected square of n bins' residual vectors, by covariances as `_whiten` takes them: (h, n)."""
     h, n_alike = len(C), 3 * n // C.shape[1]
     return np.asarray(n_alike * np.diagonal(C, axis1=1, axis2=2).reshape(h, n, -1).sum(axis=2))
 

@@ -47,7 +47,7 @@ class UnrelatedWalk:
         return self._found[asked]
 
     def _averaged(self, rows: Indices) -> float:
-        """The same, averaged over lengthscales and strengths, those of calm places too; few bins tell which."""
+        """Average over lengthscales and strengths, those of calm places too; few bins tell which."""
         some = even_choice(len(rows), FEW_POINTS)
         field = self.walk.field[rows]
         spread2 = float(field.var(axis=0).mean()) + self.noise.nugget_sd**2
@@ -70,14 +70,14 @@ class UnrelatedWalk:
 
 
 def _covariances(d2: Matrix, tried: Matrix) -> np.ndarray:
-    """Of each pair of numbers tried: (t, n, n)."""
+    """Give the covariance for each pair of numbers tried: (t, n, n)."""
     # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
     length, variance = tried.T[:, :, None, None]
     return np.asarray(variance / (1 + d2 / (2 * length**2)))
 
 
 def _log_likelihoods(values: Vectors, K: np.ndarray, noise: PathNoise) -> Scalars:
-    """Of values (n, 3) by each of several covariances (t, n, n)."""
+    """Give the log-likelihoods of values (n, 3) under each of several covariances (t, n, n)."""
     L = np.linalg.cholesky(K)
     z = np.repeat(values[None], len(L), axis=0)
     whiten(L, z)

@@ -80,7 +80,7 @@ class Anchor:
         object.__setattr__(self, "position", position)
 
     def local(self, origin: Origin) -> "Anchor":
-        """The same point in metres east and north of an origin."""
+        """Express the point in metres east and north of an origin."""
         latitude, longitude, z = self.position
         ((east, north),) = local_east_north(np.array([latitude]), np.array([longitude]), origin)
         return replace(self, position=np.array([east, north, z]), in_degrees=False)
@@ -97,7 +97,7 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     Raises
     ------
     DataFormatError
-        It is none; says line and column.
+        The file is no such table; the message says line and column.
     """
     rows = rows_of(path, text_lines(path))
     if len(rows.at) < 2:

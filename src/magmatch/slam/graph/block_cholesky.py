@@ -108,7 +108,7 @@ class SelectedInverse:
 
 
 def _find(starts: Indices, rows: Indices, one: Indices, other: Indices) -> tuple[Indices, Mask]:
-    """Where blocks stand in L, by their rows and columns in its order; and which lie above its diagonal."""
+    """Find blocks in L, by their rows and columns in its order; and which lie above its diagonal."""
     n = len(starts) - 1
     keys = np.repeat(np.arange(n), np.diff(starts)) * n + rows
     return np.searchsorted(keys, np.minimum(one, other) * n + np.maximum(one, other)), one < other

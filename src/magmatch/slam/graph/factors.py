@@ -70,7 +70,7 @@ class Closure:
     second: int
     T_first_second: RigidTransform  # from the field
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the second node, rotation first (rad, m)
-    log_odds: float  # that it is right, from the field alone
+    log_odds: float  # probability that it is right, from the field alone
     weight: float = 1.0  # probability that it is right, given the graph
     common: float = 0.0  # share of the covariance that is one window's own, so that its other closures have it too
     # Squared residual against what the graph predicted when it was found: its odds have paid for that.
@@ -91,7 +91,7 @@ class SubmapFactor:
 
     node: int
     passes: Indices  # (k,): a node of each
-    shares: Scalars  # (k,): of each in the map; they sum to one
+    shares: Scalars  # (k,): share of each in the map; they sum to one
     R: Tensors  # (k, 3, 3), and t (k, 3), m: the node in the axes of each of those, where the graph had them then
     t: Points
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node, rotation first (rad, m)

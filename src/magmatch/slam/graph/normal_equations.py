@@ -18,7 +18,7 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
 
 # Least standard deviation of a lasting error, so that the equations can be solved where it is stated as 0.
 LEAST_LASTING = 1e-9
-# Of e rows alike: blocks of unknowns (e, k), Jacobian (e, m, 6 k), information (m, m) or (e, m, m), residual (e, m).
+# e rows alike: blocks of unknowns (e, k), Jacobian (e, m, 6 k), information (m, m) or (e, m, m), residual (e, m).
 Part = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -72,7 +72,7 @@ def _closures(graph: PoseGraph) -> list[Part]:
 
 
 def _submaps(graph: PoseGraph) -> list[Part]:
-    """A node against the mean of where passes of a submap have it, by their shares; those of as many at once."""
+    """Hold nodes to the mean of where passes of a submap have them, by their shares; submaps of as many at once."""
     found: list[Part] = []
     for k in sorted({len(factor.passes) for factor in graph.submap_factors}):
         some = [factor for factor in graph.submap_factors if len(factor.passes) == k]
@@ -112,7 +112,7 @@ def _scale_held(graph: PoseGraph) -> list[Part]:
 def counted(graph: PoseGraph) -> Scalars:
     """Share of each closure's information that counts: its weight, less what closures of its windows have in common.
 
-    Nothing of it, as far as submaps stand for it.
+    Information that submap factors stand for does not count.
     """
     return np.asarray(graph.as_arrays.weight / shared(graph) * (1 - graph.on_submaps()))
 
@@ -130,7 +130,7 @@ def shared(graph: PoseGraph) -> Scalars:
 
 
 def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:
-    """Change residuals of position and their slopes to a unit of ``exp(log_scale)`` m; gives the slope with that log.
+    """Express residuals of position and their slopes in a unit of ``exp(log_scale)`` m; give the slope with that.
 
     r is (e, 6), and its slopes with both nodes are (e, 6, 6); the slope is (e, 6, 1).
     """

@@ -83,7 +83,7 @@ def _between(path: Path, a: int, b: int, config: SlamConfig) -> tuple[Vector3, M
     points = path.survey.positions[np.unique(np.linspace(a, b, BEND_POINTS).astype(np.int64))]
     upright, planar = config.is_gravity_aligned, config.is_planar
     loads = bend(points, 0, config.odometry_of(path.survey.name), upright=upright, planar=planar)[-1]
-    # Of a jump nothing is known but its direction: nobody may have moved at all.
+    # Only the direction of a jump is known: nobody may have moved at all.
     x, rows = path.survey.positions, path.jumps[(path.jumps >= min(a, b)) & (path.jumps < max(a, b))]
     jumped = np.concatenate([np.zeros((len(rows), 3)), x[rows + 1] - x[rows]], axis=1).T
     return points[-1] - points[0], np.hstack([jumped, loads]), lasting_errors(points, 0, upright=upright)[-1]

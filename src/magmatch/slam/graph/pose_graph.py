@@ -22,7 +22,7 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 # Standard deviation of what is held fixed: the first node of a component, and directions in which odometry does not
 # drift.
 SURE = 1e-4
-# Of what fixed points need not tell, such as where the frame of a single one points to: rad, m.
+# The same of what fixed points need not tell, such as where the frame of a single one points to: rad, m.
 FREE = 1e3
 # Standard deviations beyond which a difference is one.
 DISTINCT = 3.0
@@ -231,7 +231,7 @@ class PoseGraph:
         return self._relative(firsts, seconds, self._factor.inverse_in_column(firsts, second))
 
     def relative_covariances_of_closures(self) -> np.ndarray:
-        """Relative covariance of each closure's two nodes: (c, 6, 6)."""
+        """Give the relative covariance of each closure's two nodes: (c, 6, 6)."""
         firsts, seconds = self.as_arrays.first, self.as_arrays.second
         return self._relative(firsts, seconds, self._selected().between(firsts, seconds))
 

@@ -12,7 +12,7 @@ from magmatch.slam.graph.normal_equations import counted, odometry_steps, residu
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.typing import Scalars
 
-# What a right closure's squared residual is expected to be.
+# Expected squared residual of a right closure.
 EXPECTED = 6.0
 # Standard deviations of the odometry, stated or learned, that a log bends by in the mean over what holds it: no drift
 # does so beyond.

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a session leaves in a folder."""
+"""A session leaves files in a folder."""

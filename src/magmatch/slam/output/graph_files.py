@@ -27,7 +27,8 @@ def write_covariances(session: Session, path: Path) -> None:
     """Write the body's pose at the middle of each window in its component's frame, and covariance.
 
     It is of xi, rotation first (rad, m), in ``T_true = T Exp(xi)``, by rows of its upper triangle: against the first
-    node of the component, or in the frame of the fixed points. Of a rigid survey, its frame. Without times t is "".
+    node of the component, or in the frame of the fixed points. A rigid survey has the pose of its frame; without
+    times, t is "".
     """
     graph, logs, components, moments, numbers = session.graph, [], [], [], []
     for name, component, one in zip(session.names, session.component_of, session.paths, strict=True):
@@ -35,7 +36,7 @@ def write_covariances(session: Session, path: Path) -> None:
             T_node_body, t, _ = body_at(one, node, is_rigid=session.is_rigid)
             T, M = graph.pose(node) * T_node_body, adjoint(T_node_body.inv())
             C = M @ about_node @ M.T
-            # Of the first node it is zero, but for rounding.
+            # The first node's is zero, but for rounding.
             np.fill_diagonal(C, np.maximum(np.diagonal(C), 0.0))
             logs.append(name)
             components.append(component)

@@ -28,7 +28,7 @@ from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Scalars
 from magmatch.workers import Task
 
-# What a comparison finds: nodes of the submap, and poses beside them.
+# A comparison finds nodes of the submap, and poses beside them.
 Found = list[tuple[int, Match]]
 # Divergence of two priors that weigh a pose alike, nats: spreads within a fifth, or places within half a spread.
 SAME_PRIOR = 0.1

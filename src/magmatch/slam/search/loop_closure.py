@@ -29,7 +29,7 @@ SAME_SHIFT, SAME_TURN = 0.3, 0.1
 # Standard deviations within which a predicted pose is looked for: farther off, the prediction costs more than a
 # closure may gain. Drift is learned for all logs together; on single stretches it is larger.
 REACH = float(np.sqrt(2 * MOST_ODDS))
-# Of a node about where the graph has it, whatever its covariance.
+# Covariance of a node about where the graph has it, whatever that says: gravity and one floor hold it no better.
 NODE_COVARIANCE = np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))
 
 
@@ -52,7 +52,7 @@ class Rough:
         return bool(turn < SAME_TURN and shift < SAME_SHIFT * length)
 
 
-# From nowhere it is the volume of all that is searched, m^3.
+# Without a prediction it is the volume of all that is searched, m^3.
 Expected = Rough | float
 
 

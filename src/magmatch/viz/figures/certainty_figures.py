@@ -90,7 +90,7 @@ def _points(p: Points, name: str, symbol: str, color: str, size: float) -> Any:
 
 
 def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":
-    """Where the target would lie under each of several poses: numbered outlines, or paths, in plan view."""
+    """Draw the target under each of several poses: numbered outlines, or paths, in plan view."""
     p_target = target.positions[thinned(len(target), MAX_SWEPT)]
     lain = [transform_points(p_target, T) for T in poses]
     cut = cut_through(np.concatenate([base.positions, *lain]))

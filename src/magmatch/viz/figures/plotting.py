@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What all pictures share: the optional plotting library, colours, axes, origins, and how many points are drawn."""
+"""All pictures share this: the optional plotting library, colours, axes, origins, and how many points are drawn."""
 
 from html import escape
 from types import ModuleType
@@ -61,13 +61,13 @@ def label(text: str) -> str:
 
 
 def origin_of(*points: Points) -> Vector3:
-    """What is taken off coordinates before they are drawn, whole kilometres: zero unless they lie far from it."""
+    """Give the whole kilometres taken off coordinates before they are drawn: zero unless they lie far off."""
     everything = np.concatenate(points)
     return near_origin(everything[np.isfinite(everything).all(axis=1)], STEP)
 
 
 def origins_of(*frames: Points) -> list[Vector3]:
-    """What is taken off the coordinates of each frame before they are overlaid.
+    """Give what is taken off the coordinates of each frame before they are overlaid.
 
     It is one point for all, unless they lie farther apart than any survey extends: a picture of one frame in UTM and
     one with an origin of its own would show two dots.

@@ -222,7 +222,7 @@ def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
 
 
 def _taken_off(*origins: Vector3) -> str:
-    """Where the origin of each frame stands in a picture of frames that are far from each other."""
+    """Say where the origin of each frame stands in a picture of frames that are far from each other."""
     if not any(origin.any() for origin in origins):
         return ""
     said = (f"({', '.join(told(v) for v in origin)})" for origin in origins)

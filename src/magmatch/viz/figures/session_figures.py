@@ -117,7 +117,7 @@ def _closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
 
 
 def _ellipses(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
-    """Where nodes along the logs may be, in the plane of the cut: 95 %."""
+    """Draw the places in which nodes along the logs may be, in the plane of the cut: 95 %."""
     axes = list(cut.axes[:2])
     nodes = np.concatenate([session.paths[k].nodes for k in logs])
     nodes = nodes[thinned(len(nodes), MAX_ELLIPSES)]

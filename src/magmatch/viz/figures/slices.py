@@ -47,7 +47,7 @@ class Cut:
 
     @property
     def words(self) -> str:
-        """Where the plane lies."""
+        """The place of the plane, in words."""
         return f"{'xyz'[self.axes[2]]} = {round(self.height, 2) + 0.0:.2f} m"
 
     def along(self, p: np.ndarray) -> np.ndarray:

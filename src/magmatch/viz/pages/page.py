@@ -123,7 +123,7 @@ def to_copy(name: str, text: str, *, is_wrapped: bool = False) -> str:
 
 
 def details(summary: str, html: str, *, is_open: bool = False) -> str:
-    """What is opened on demand."""
+    """Fold what is opened on demand."""
     return f"<details{' open' if is_open else ''}><summary>{escape(summary)}</summary>{html}</details>"
 
 
@@ -136,7 +136,7 @@ def again(title: str, words: str, command: str | None, settings: Mapping[str, An
 
 
 def _terms_of(sections: Sequence[Section]) -> list[Section]:
-    """What the terms mean that the sections link to, folded."""
+    """Fold the terms that the sections link to, with their meanings."""
     text = "".join(block for section in sections for block in section.blocks)
     used = {term: said for term, said in terms().items() if f'href="#{_anchor(term)}"' in text}
     told = "".join(

@@ -31,12 +31,12 @@ NEXT_STEPS = {
 
 
 def next_steps(result: LocalizationResult) -> tuple[str, ...]:
-    """What to do, given how the log ended."""
+    """Say what to do, given how the log ended."""
     return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
 
 
 def verdict_on(result: LocalizationResult) -> str:
-    """Where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
+    """Say where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
     ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
     ended = "Pose too uncertain at the end" if result.is_place_known else ended
     share = f"; {result.share_in_words}" if result.is_localized else ""

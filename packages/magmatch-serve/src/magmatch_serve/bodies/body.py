@@ -29,7 +29,7 @@ class Body:
 
     known: KnownPlaces
     config: LocalizerConfig
-    # Made for the first sample: who only connects costs nothing.
+    # The localizer is made for the first sample: a client that only connects costs nothing.
     localizer: Localizer | None = None
     name: str = ""
     is_binary: bool = False
@@ -42,7 +42,7 @@ class Body:
 
     @classmethod
     def resumed(cls, known: KnownPlaces, config: LocalizerConfig, state: bytes) -> "Body | None":
-        """Of which a state was kept; None where that is of other maps, settings or another version."""
+        """Continue from a kept state; None where that is of other maps, settings or another version."""
         try:
             about = loads(state, SCHEMA, KINDS)
             localizer = restored(known, config, about["localizer"])
@@ -51,7 +51,7 @@ class Body:
         return cls(known, config, localizer, about["name"], n=about["n"], t=about["t"], now=localizer.estimate())
 
     def state(self) -> bytes:
-        """All of it that a restart shall not lose."""
+        """Give all that a restart shall not lose."""
         assert self.localizer is not None
         about = {"name": self.name, "n": self.n, "t": self.t, "localizer": state_of(self.localizer)}
         return dumps(SCHEMA, about)
@@ -84,7 +84,7 @@ class Body:
             self.trail.append((x, y, self.now.map or ""))
 
     def picture(self, client: str, *, with_trail: bool) -> dict[str, Any]:
-        """What the page draws of it, in the map's frame, seen from above."""
+        """Give what the page draws of it, in the map's frame, seen from above."""
         now = self.now
         said: dict[str, Any] = {
             "client": client[:8], "name": self.name, "is_here": self.left_at is None, "status": now.status.value,

@@ -21,7 +21,7 @@ UPLOAD = "log-"
 
 
 def path_of(folder: Path, client: str) -> Path:
-    """Where the state of a client lies; its id is the digest of a key, never a client's own words."""
+    """Give the file of a client's state; its id is the digest of a key, never a client's own words."""
     return folder / f"{client}.state"
 
 

@@ -37,7 +37,7 @@ SEARCH_WITHIN = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """What a client is told when it comes."""
+    """The words that a client is told when it comes."""
 
     is_resumed: bool
     n: int
@@ -57,7 +57,7 @@ def run_tracker(pipe: Connection, place: Path, config: ServeConfig) -> None:
             pipe.send(error)
             return
         pipe.send(None)
-        # All that is there by now stays: the collector need not look through it again.
+        # Everything that exists by now stays: the collector need not look through it again.
         gc.freeze()
         # The pipe's own way to wait makes a selector each time.
         arrival = select.poll()
@@ -174,7 +174,7 @@ class Tracker:
         self._loading = self._loader.submit(load_places, self._place)
 
     def renewed(self) -> bool | str:
-        """Whether that is done; what is wrong with the maps otherwise."""
+        """Say whether that is done, or what is wrong with the maps."""
         if self._loading is None or not self._loading.done():
             return False
         loading, self._loading = self._loading, None
@@ -225,7 +225,7 @@ class Tracker:
 
     def _forget(self, client: str) -> None:
         self._bodies.pop(client, None)
-        # After whatever is still to be written of it.
+        # It goes after whatever is still to be written of it.
         self._writer.submit(checkpoints.remove, self._config.states, client).result()
 
 

@@ -174,7 +174,7 @@ class Trackers:
                 raise fault
 
     def of(self, client: str) -> TrackerHandle:
-        """Who follows a client."""
+        """Give the tracker that follows a client."""
         return self.handles[int(client, 16) % len(self.handles)]
 
     async def watch(self, *, with_trail: bool) -> list[dict[str, Any]]:

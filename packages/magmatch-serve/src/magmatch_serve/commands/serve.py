@@ -75,7 +75,7 @@ def serve(
 
 
 def _end(*_: Any) -> Never:
-    """As a command that is done: killed outright, it would leave the semaphores of its processes behind."""
+    """End as a command that is done: killed outright, it would leave the semaphores of its processes behind."""
     raise typer.Exit
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What reading a stranger's log may take of this machine, held by its operating system: memory, disk and time.
+"""Reading a stranger's log takes bounded memory, disk and time of this machine, held by its operating system.
 
 Readers trust what a file says of its sizes. A file that lies costs the process that reads it, which another replaces.
 """
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-# How much of the address space a process holds, in pages; only Linux tells, and only it bounds that.
+# Address space that a process holds, in pages; only Linux tells, and only it bounds that.
 HELD = Path("/proc/self/statm")
 
 

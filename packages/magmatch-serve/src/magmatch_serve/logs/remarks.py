@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the library remarks about a log: told to whoever sent it instead of whoever runs the service."""
+"""The library's remarks about a log go to whoever sent it instead of whoever runs the service."""
 
 import logging
 import re

@@ -57,7 +57,7 @@ async def _receive(request: Request, path: Path, config: ServeConfig, unpacking:
 
 
 def _unpacked(unpacking: "zlib._Decompress", packed: bytes) -> Iterator[bytes]:
-    """What a piece unpacks to, in pieces."""
+    """Unpack a piece, in pieces."""
     while packed:
         try:
             yield unpacking.decompress(packed, PIECE)

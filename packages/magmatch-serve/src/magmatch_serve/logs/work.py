@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a worker process does with a whole log: read it, localize or register it, say the result."""
+"""A worker process reads a whole log, localizes or registers it, and says the result."""
 
 import logging
 import multiprocessing
@@ -47,7 +47,7 @@ _one_at_a_time = threading.Lock()
 
 
 class LogQuestion(BaseModel):
-    """How a log is to be read: words of a query."""
+    """The words of a query that say how a log is to be read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -55,7 +55,7 @@ class LogQuestion(BaseModel):
 
 
 class WhereOfLog(LogQuestion):
-    """What is asked of a log that is localized."""
+    """The questions about a log that is localized."""
 
     live: bool = Field(default=False, description="As it was known live, instead of with hindsight.")
     planar: bool = Field(default=False, description="All poses lie on one floor.")
@@ -63,7 +63,7 @@ class WhereOfLog(LogQuestion):
 
 
 class PoseOfLog(LogQuestion):
-    """What is asked of a log that is registered."""
+    """The questions about a log that is registered."""
 
     gravity_aligned: bool = Field(default=False, description="z points up in the log and in the map.")
     planar: bool = Field(default=False, description="As gravity_aligned, with a common height.")
@@ -104,7 +104,7 @@ def begin_worker() -> None:
 
 
 def _end_with_service() -> None:
-    """Outlive the service by nothing, however it ended."""
+    """End with the service, however that ended."""
     service = multiprocessing.parent_process()
     if service is not None:
         service.join()
@@ -169,7 +169,7 @@ def _for_client(words: str, place: Path, upload: Path, question: LogQuestion) ->
     names = {upload: "log", upload.parent: "log", place: "maps", place.parent: "maps"}
     words = without_paths(words, names)
     switches = {name for name, one in type(question).model_fields.items() if one.annotation is bool}
-    # Of a user without a home it is "/", "~" or empty.
+    # A user without a home has "/", "~" or nothing.
     home = os.path.expanduser("~")  # noqa: PTH111  # Path.home() raises an error instead
     is_ours = len(home) > 1 and home in words
     return "" if is_ours else in_query_words(words, switches, set(SurveyFormat.model_fields) - FILES)

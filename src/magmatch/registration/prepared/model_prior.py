@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The prior over models of one pose: what each pays beforehand, nats, beside a rigid pose in an unchanged field.
+
+All free numbers of a model are integrated out, so a freer model pays for them by its evidence too. What stands here
+is for errors that the likelihood does not know: it takes the errors of maps as independent from cell to cell.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from magmatch.typing import Scalars
+
+# Sensors that differ by bias and scale, and once more if by soft iron. Correlated errors of two maps of one place
+# look like a bias that gains up to ten nats.
+SENSORS_DIFFER = -15.0
+# A walk bends at one of these rates, m per square root of a metre, equally likely: of wheels, of cameras, and of a
+# phone's dead reckoning.
+RATES = (0.02, 0.05, 0.1, 0.2)
+EACH_RATE = -float(np.log(len(RATES)))
+
+
+def overlap_weight(share: Scalars | float) -> Scalars:
+    """Log prior weight of poses, by the share of the target that each puts inside the base.
+
+    Most of all possible poses barely touch the base, but surveys of the same place usually overlap. The weight is
+    the square of the share, proportional to the number of pairs of samples in common.
+    """
+    return np.asarray(2 * np.log(share))
+
+
+def path_weight(price: float, path: float, share: Any) -> Any:
+    """Log prior weight of poses of which each explains a share of a path (in correlation lengths).
+
+    There are many ways out of a base map, and wrong poses tend to lie at its border, where a few bins fit.
+    """
+    return -price * path * (1 - share)
