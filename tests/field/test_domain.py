@@ -19,7 +19,7 @@ def bounded():
     rng = np.random.default_rng(0)
     x = rng.uniform(size=(150, 3)) * [1, 1, 0.3]
     b = 1e-6 * np.stack([20 + x[:, 1], 3 + x[:, 0], -45 + 0 * x[:, 0]], axis=1)
-    config = {"lengthscale": 0.6, "signal_sd": 1e-6, "noise_sd": 1e-7, "spacing": 0.3}
+    config = {"prior": "spline", "lengthscale": 0.6, "signal_sd": 1e-6, "noise_sd": 1e-7, "spacing": 0.3}
     return build_map(Survey(x, b), FieldConfig(**config)), build_map(Survey(x, b), FieldConfig(domain=BOX, **config))
 
 
