@@ -13,6 +13,7 @@ import magmatch as mm
 from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
+from magmatch.field.sensor_biases import SensorBiases, without_bias
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
@@ -153,6 +154,22 @@ def test_the_folder_holds_what_the_contract_says(folder, three):
         np.testing.assert_array_equal(there.positions, poses.positions)
         assert trajectory_error(truth, poses.positions) < 1.0
     assert len(mm.FieldMap.load(folder / "map.map").surveys) == 2
+
+
+def test_the_folder_states_and_takes_out_the_biases_that_the_map_solved(three, tmp_path, monkeypatch):
+    session = three.session
+    before = session.result().to_dict()["odometry"]["logs"]
+    old = [bias for bias, _ in session.map_biases]
+    found = SensorBiases(np.array([[3e-6, -2e-6, 1e-6], [0, 4e-6, 5e-6]]), np.full((2, 3), 2e-7), 4e-6)
+    monkeypatch.setitem(session._maps, 0, replace(session.map(), biases=found))
+    result = write_folder(session, tmp_path / "out").to_dict()["odometry"]["logs"]
+    for k, name in enumerate("ab"):
+        stated = np.subtract(result[name]["bias"], before[name]["bias"])
+        np.testing.assert_allclose(stated, found.bias[k] - old[k], atol=1e-15)
+        assert result[name]["bias_sd"] == found.sd[k].tolist()
+        there, survey = read_survey(tmp_path / f"out/{name}.csv"), session.trajectories[k]
+        np.testing.assert_allclose(there.field, without_bias(survey, found.bias[k]).field, atol=1e-12)
+    assert result["c"] == before["c"]
 
 
 def test_without_times_or_orientations_there_are_no_poses_to_write(lone, tmp_path):

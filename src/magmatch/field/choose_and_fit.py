@@ -27,8 +27,9 @@ def choose_biases(surveys: Sequence[Survey], config: FieldConfig, run: Workers |
     """Biases of the logs' sensors, solved with the field; None for one survey alone, or where there are none."""
     if len(surveys) < 2 or not biased_logs(surveys) or config.sensor_bias_sd == 0:
         return None
-    if config.prior == "auto":
-        config = config.model_copy(update={"prior": PREFERRED})
+    if config.prior != PREFERRED:
+        # It costs least, and priors are compared without biases. Numbers that are given are another prior's.
+        config = FieldConfig(prior=PREFERRED, domain=config.domain, sensor_bias_sd=config.sensor_bias_sd)
     merged, biases = surveys[0].merged(*surveys[1:]), no_biases(len(surveys))
     for _ in range(MOST_BIAS_ROUNDS):
         field_map, posterior, samples = choose_and_fit(biases.without(surveys), config, run)
