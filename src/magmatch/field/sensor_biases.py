@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
-from magmatch.field.linear_model import Piece, FieldPosterior
+from magmatch.field.linear_model import FieldPosterior, Piece
 from magmatch.field.selection.spline_evidence import integrated_autocorrelation_time
 from magmatch.typing import Indices, Mask, Matrix, Scalars, Tensors, Vector3, Vectors
 
