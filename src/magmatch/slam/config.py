@@ -25,9 +25,6 @@ class SlamConfig(Settings):
     # Whether z is up in the odometry's frames, and whether all poses lie at one height too.
     is_gravity_aligned: bool = True
     is_planar: bool = False
-    # Standard deviation per axis of points that walkers marked, m, until closures show it: of each, and once more
-    # of all of a log together. A walker who takes one shop front for the next marks wrongly from there on.
-    waypoint_sd: float = Field(default=1.0, gt=0)
     # Latitude and longitude (deg) at which x and y are 0, for fixed points in degrees. By default, the first of them.
     origin: tuple[Latitude, Longitude] | None = None
     # Length of a window, in field lengths: long against the field's changes, short against the odometry's drift.

@@ -114,8 +114,7 @@ class LoopCloser:
         places.graph.weigh_closures(np.ones(len(places.graph.closures)))
         places.solve()
         config = learned_drift(places.graph, places.paths, places.stated)
-        words = "odometry drifts by %.2g m and %.2g deg in 10 m; marks are off by %.2g m"
-        log.info(words, *config.odometry.sd, config.waypoint_sd)
+        log.info("odometry drifts by %.2g m and %.2g deg in 10 m", *config.odometry.sd)
         places.take_drift(config)
         self.search.weigh_anew()
 

@@ -19,7 +19,6 @@ from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.factors import LEAST_KEPT
-from magmatch.slam.graph.learned_drift import teaches_marks
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places
@@ -46,8 +45,6 @@ def correct(
         return places  # the field is constant
     closer = LoopCloser(places, run)
     with clock("noise"):
-        if teaches_marks(places.graph):
-            closer.learn_drift()
         close_near(closer, places.paths, enough=ENOUGH, least=SURE)
         closer.learn_noise()
         forget_closures(places.graph)

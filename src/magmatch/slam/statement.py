@@ -56,13 +56,7 @@ def state_anchors(
     residuals = zip(anchors, graph.off_fixed(), *graph.off_fixed_without(), strict=True)
     return tuple(
         AnchorResult(
-            names[of],
-            a.t,
-            a.position.tolist(),
-            graph.config.waypoint_sd if a.is_marked else a.sd,
-            off.tolist(),
-            without.tolist(),
-            float(np.sqrt(np.trace(C) / 3)),
+            names[of], a.t, a.position.tolist(), a.sd, off.tolist(), without.tolist(), float(np.sqrt(np.trace(C) / 3))
         )
         for (a, of), off, without, C in residuals
     )
@@ -72,7 +66,7 @@ def state_odometry(
     graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], logs: Sequence[Survey], names: Sequence[str]
 ) -> DriftResult:
     """The drift of the odometry, and each log's constant errors."""
-    each = zip(names, graph.lasting[:, :2].tolist(), biases, map(_state_recalibrations, logs), strict=True)
+    each = zip(names, graph.lasting.tolist(), biases, map(_state_recalibrations, logs), strict=True)
     return DriftResult(
         sd=graph.config.odometry.sd,
         logs={

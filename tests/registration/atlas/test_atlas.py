@@ -185,7 +185,7 @@ def refuse(*_):
 
 def test_what_else_is_kept_in_a_folder_is_no_map(atlas, tmp_path):
     copy_map(atlas.folder / "attic.map", tmp_path / "attic.map")
-    save(tmp_path / "session.state", "magmatch.slam.session/9", {})
+    save(tmp_path / "session.state", "magmatch.slam.session/8", {})
     (tmp_path / "attic.map.old").write_bytes(index_path(tmp_path / "attic.map").read_bytes())
     assert [entry.name for entry in open_atlas(tmp_path).entries] == ["attic.map"]
     with ZipFile(tmp_path / "old.map", "w") as old:

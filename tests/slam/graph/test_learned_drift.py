@@ -10,7 +10,6 @@ from magmatch.data.survey import Survey
 from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.factors import Closure, Edges
 from magmatch.slam.graph.learned_drift import learned_drift, log_evidence
 from magmatch.slam.graph.odometry import odometry_graph
@@ -52,19 +51,6 @@ def laps(sd, seed, n_laps=6, radius=4.0):
     return Survey(walked, field, times=np.arange(n) * 1.0, name="laps"), true, turn
 
 
-def close_all_laps(graph, path, true, turn):
-    """Close each window with the lap after, at the true relative pose."""
-    p, R, nodes = true[path.middles], turn[path.middles], path.nodes
-    for a in nodes:
-        b = a + round(len(nodes) / 6)
-        if b <= nodes[-1]:
-            T = RigidTransform.from_components(R[a].apply(p[b] - p[a]), R[a] * R[b].inv())
-            graph.closures = [
-                *graph.closures,
-                Closure(int(a), int(b), T, np.diag([0.01] * 3 + [0.02] * 3) ** 2, 10.0),
-            ]
-
-
 @pytest.mark.parametrize("stated", [(0.6, 6.0), (0.07, 0.7)])
 def test_drift_that_was_stated_wrongly_is_learned_from_closures(stated):
     real = (0.2, 2.0)
@@ -72,58 +58,19 @@ def test_drift_that_was_stated_wrongly_is_learned_from_closures(stated):
     log, true, turn = laps(real, 3)
     (path,) = cut([log], 0.5, config)
     graph = odometry_graph([path], config)
-    close_all_laps(graph, path, true, turn)
+    p, R, nodes = true[path.middles], turn[path.middles], path.nodes
+    for a in nodes:
+        # The lap after, with the true relative pose.
+        b = a + round(len(nodes) / 6)
+        if b <= nodes[-1]:
+            T = RigidTransform.from_components(R[a].apply(p[b] - p[a]), R[a] * R[b].inv())
+            graph.closures = [
+                *graph.closures,
+                Closure(int(a), int(b), T, np.diag([0.01] * 3 + [0.02] * 3) ** 2, 10.0),
+            ]
     solve(graph)
     sd = learned_drift(graph, [path], config).odometry.sd
     np.testing.assert_allclose(np.log(sd), np.log(real), atol=np.log(1.4))
-
-
-@pytest.mark.parametrize("stated", [0.3, 3.0])
-def test_how_well_a_walker_marks_points_is_learned_from_closures_with_the_drift(stated):
-    """As a walker does, each mark shares half of its error with the one before."""
-    real, marked, rng = (0.2, 2.0), 1.0, np.random.default_rng(4)
-    config = SlamConfig(is_planar=True, waypoint_sd=stated)
-    log, true, turn = laps(real, 3)
-    (path,) = cut([log], 0.5, config)
-    graph = odometry_graph([path], config)
-    off = np.zeros(3)
-    anchors = []
-    for row in range(0, len(log), 25):
-        off = 0.5 * off + np.sqrt(0.75) * marked * rng.normal(size=3) * [1, 1, 0]
-        anchors.append((Anchor("laps", float(row), true[row] + off, stated, is_marked=True), 0))
-    graph.fixed = fixed_points(anchors, [path])
-    close_all_laps(graph, path, true, turn)
-    solve(graph)
-    learned = learned_drift(graph, [path], config)
-    found = [*learned.odometry.sd, learned.waypoint_sd]
-    np.testing.assert_allclose(np.log(found), np.log([*real, marked]), atol=np.log(1.5))
-
-
-@pytest.mark.parametrize("real", [0.1, 2.0])
-def test_without_closures_marks_are_weighed_by_odometry_that_drifts_as_stated(real):
-    config = SlamConfig(is_planar=True, odometry=OdometryConfig(sd=(0.2, 2.0)))
-    log, true, _ = laps((0.2, 2.0), 3)
-    (path,) = cut([log], 0.5, config)
-    graph, rng = odometry_graph([path], config), np.random.default_rng(4)
-    off = real * rng.normal(size=(len(log), 3)) * [1, 1, 0]
-    marks = [Anchor("laps", float(k), true[k] + off[k], 1.0, is_marked=True) for k in range(0, len(log), 50)]
-    graph.fixed = fixed_points([(mark, 0) for mark in marks], [path])
-    solve(graph)
-    learned = learned_drift(graph, [path], config)
-    assert learned.odometry == config.odometry
-    assert 0.5 < learned.waypoint_sd / real < 2
-
-
-def test_points_that_a_surveyor_states_keep_their_standard_deviation():
-    config = SlamConfig(is_planar=True)
-    log, true, turn = laps((0.2, 2.0), 3)
-    (path,) = cut([log], 0.5, config)
-    graph = odometry_graph([path], config)
-    graph.fixed = fixed_points([(Anchor("laps", float(row), true[row], 0.02), 0) for row in (0, 50, 500)], [path])
-    close_all_laps(graph, path, true, turn)
-    solve(graph)
-    assert learned_drift(graph, [path], config).waypoint_sd == config.waypoint_sd
-    np.testing.assert_array_equal(graph.fixed.sd, 0.02)
 
 
 def test_a_few_closures_teach_nothing_and_more_teach_all_logs_alike():

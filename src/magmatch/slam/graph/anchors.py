@@ -27,7 +27,6 @@ from magmatch.data.tables.text_rows import (
 from magmatch.data.tables.text_rows import numbers_of as numbers_in
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.number_text import told
-from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.trajectories import around
 from magmatch.slam.windows import Path
@@ -40,8 +39,8 @@ COLUMNS = ("log", *NUMBERS)
 DEGREES = {"x": "lat", "y": "lon"}  # columns that stand in for others
 # s; a point so long before the first sample or after the last still counts: marks and sensors start one by one.
 BEYOND = 1.0
-# Per axis, m, where the settings of slam say nothing else.
-WAYPOINT_SD = float(SlamConfig().waypoint_sd)
+# Per axis, m: people who walk at 1 m/s press the button within some tenths of a second of the point.
+WAYPOINT_SD = 0.3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -60,8 +59,6 @@ class Anchor:
         Standard deviation of each coordinate, above 0.
     source : str
         File and line, for messages.
-    is_marked : bool
-        Whether the walker marked it, so that its standard deviation is the one of all such points.
     """
 
     log: str
@@ -70,7 +67,6 @@ class Anchor:
     sd: float
     source: str = "anchor"
     in_degrees: bool = False
-    is_marked: bool = False
 
     def __post_init__(self) -> None:
         column_of([self.t], f"{self.source}: t", "s", 1)
@@ -205,8 +201,7 @@ def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -
         x.append([np.interp(anchor.t, times, axis) for axis in path.survey.positions.T])
         # The log may have moved on between the point and the first or last sample.
         beyond = abs(anchor.t - np.clip(anchor.t, times[0], times[-1]))
-        sd = path.windows[0].config.waypoint_sd if anchor.is_marked else anchor.sd
-        sds.append(np.hypot(sd, beyond * path.walked[-1] / (times[-1] - times[0])))
+        sds.append(np.hypot(anchor.sd, beyond * path.walked[-1] / (times[-1] - times[0])))
     return FixedPoints(
         np.array(one, dtype=np.int64),
         np.array(other, dtype=np.int64),
@@ -214,7 +209,6 @@ def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -
         np.array(x).reshape(-1, 3),
         np.array([a.position for a, _ in anchors]).reshape(-1, 3),
         np.array(sds),
-        np.array([a.is_marked for a, _ in anchors], bool),
     )
 
 
@@ -232,9 +226,7 @@ def waypoints(points: SurveyedPoints, survey: Survey, log: str) -> list[Anchor]:
     heights = np.interp(points.times, times, survey.positions[:, 2])
     rows = zip(points.times, points.places, heights, points.lines, is_passed, strict=True)
     return [
-        Anchor(
-            log, float(t), np.array([x, y, z]), WAYPOINT_SD, f"{survey.name}, line {line}", points.in_degrees, True
-        )
+        Anchor(log, float(t), np.array([x, y, z]), WAYPOINT_SD, f"{survey.name}, line {line}", points.in_degrees)
         for t, (x, y), z, line, counts in rows
         if counts
     ]

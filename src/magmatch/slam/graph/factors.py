@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.typing import Covariance6, Indices, Mask, Points, Scalars, Tensors
 
-# Lasting errors of a log: scale and turn rate of its odometry, and what its walker's marks are off in x and y.
-N_LASTING = 4
+# Lasting errors of a log's odometry: scale and turn rate.
+N_LASTING = 2
 # Largest log odds of a closure, nats: with more, it could never be rejected.
 MOST_ODDS = 12.0
 # Probability above which a closure is kept.
@@ -33,7 +33,7 @@ class Edges:
     def none(cls) -> "Edges":
         """No odometry."""
         nodes = np.zeros(0, np.int64)
-        return cls(nodes, nodes, np.zeros((0, 3)), np.zeros((0, 6, 6)), np.zeros((0, 6, 2)), nodes)
+        return cls(nodes, nodes, np.zeros((0, 3)), np.zeros((0, 6, 6)), np.zeros((0, 6, N_LASTING)), nodes)
 
     @cached_property
     def information(self) -> Tensors:
@@ -56,14 +56,6 @@ class FixedPoints:
     x: Points  # (a, 3), m: odometry's frame
     position: Points  # (a, 3), m: where it is in the surveyor's frame, and how well that is known per axis
     sd: Scalars  # (a,), m
-    is_marked: (
-        Mask  # (a,): whether a walker marked it; each mark of a log is off by its sd, and all together once more
-    )
-
-    @property
-    def whole_sd(self) -> Scalars:
-        """Standard deviation of each, with what it has in common with the other marks of its log: (a,), m."""
-        return self.sd * np.where(self.is_marked, np.sqrt(2.0), 1.0)
 
     def only(self, rows: Indices) -> "FixedPoints":
         """Select some fixed points."""

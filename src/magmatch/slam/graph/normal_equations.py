@@ -2,7 +2,7 @@
 """Normal equations of all poses from odometry, closures, submaps, fixed points, gravity and the floor.
 
 A node's perturbation has separate rotation and translation: R Exp(phi), p + R rho. Unknowns come in blocks of six:
-one for each node, then one for each log, of which the first four are its lasting errors and the others are not used.
+one for each node, then one for each log, of which the first two are its lasting errors and the others are not used.
 """
 
 import numpy as np
@@ -46,7 +46,7 @@ def odometry_steps(graph: PoseGraph) -> list[Part]:
     e = graph.edges
     if not len(e.first):
         return []
-    scale, rate = graph.lasting[e.log, :2].T
+    scale, rate = graph.lasting[e.log].T
     turned = e.lasting[:, :, 1] * rate[:, None]
     Z = Rotation.from_rotvec(turned[:, :3]).as_matrix(), np.zeros((len(e.first), 3))
     r, Ji, Jj = residual_between(graph, e.first, e.second, *Z)
@@ -54,7 +54,7 @@ def odometry_steps(graph: PoseGraph) -> list[Part]:
     # all, that is scaled, loops that do not close would shrink the map.
     of_scale = _in_unit(scale, r, Ji, Jj)
     r[:, 3:] -= e.shift + turned[:, 3:]
-    unused = np.zeros((len(e.first), SIDE, SIDE - 2))
+    unused = np.zeros((len(e.first), SIDE, SIDE - N_LASTING))
     J = np.concatenate([Ji, Jj, of_scale, -e.lasting[:, :, 1:], unused], axis=2)
     return [(np.column_stack([e.first, e.second, len(graph.p) + e.log]), J, e.information, r)]
 
@@ -163,13 +163,9 @@ def _alone(graph: PoseGraph) -> list[Part]:
     if graph.fixed is not None:
         f, (seen, J) = graph.fixed, graph.seen_at_fixed()
         P = np.eye(3) / f.sd[:, None, None] ** 2
-        log, of_marks = graph.log[f.one], np.zeros((len(f.sd), 3, SIDE))
-        of_marks[:, [0, 1], [2, 3]] = f.is_marked[:, None]
-        off = seen - f.position + np.einsum("aij,aj->ai", of_marks[:, :, :N_LASTING], graph.lasting[log])
-        found.append((np.column_stack([f.one, f.other, n + log]), np.concatenate([J, of_marks], axis=2), P, off))
+        found.append((np.column_stack([f.one, f.other]), J, P, seen - f.position))
     sd, k = np.ones(SIDE), len(graph.lasting)
-    sd[:2] = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], LEAST_LASTING)
-    sd[2:N_LASTING] = c.waypoint_sd
+    sd[:N_LASTING] = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], LEAST_LASTING)
     errors = np.concatenate([graph.lasting, np.zeros((k, SIDE - N_LASTING))], axis=1)
     found.append((n + np.arange(k)[:, None], _alike(np.eye(SIDE), k), np.diag(sd**-2), errors))
     return found

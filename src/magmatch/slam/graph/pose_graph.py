@@ -43,9 +43,8 @@ class PoseGraph:
     p: Points = field(default_factory=lambda: np.zeros((0, 3)))  # (n, 3)
     log: Indices = field(default_factory=lambda: np.zeros(0, np.int64))  # (n,): of each node
     edges: Edges = field(default_factory=Edges.none)
-    # (logs, 4): estimated log of the scale of each log's odometry, its turn rate (rad/m), and what all of its marks
-    # are off in x and y (m)
-    lasting: Matrix = field(default_factory=lambda: np.zeros((0, N_LASTING)))
+    # (logs, 2): estimated log of the scale of each log's odometry, and its turn rate (rad/m)
+    lasting: Matrix = field(default_factory=lambda: np.zeros((0, 2)))
     fixed: FixedPoints | None = None  # a component that they determine has their frame instead of its own
     submap_factors: tuple[SubmapFactor, ...] = ()  # instead of the closures with the passes of their submaps
     _closures: tuple[Closure, ...] = ()
@@ -94,9 +93,7 @@ class PoseGraph:
         self.start = np.concatenate([self.start, centers])
         self.p = np.concatenate([self.p, centers])
         self.R = np.concatenate([self.R, np.tile(np.eye(3), (len(centers), 1, 1))])
-        self.lasting = np.concatenate(
-            [self.lasting, np.zeros((int(self.log.max()) + 1 - len(self.lasting), N_LASTING))]
-        )
+        self.lasting = np.concatenate([self.lasting, np.zeros((int(self.log.max()) + 1 - len(self.lasting), 2))])
         self.level = np.concatenate([self.level, centers[:, 2]])
         for i, j, shift in zip(edges.first, edges.second, edges.shift, strict=True):
             self.R[j], self.p[j] = self.R[i], self.p[i] + self.R[i] @ shift
@@ -194,13 +191,12 @@ class PoseGraph:
         f, (seen, J), own = self.fixed, self.seen_at_fixed(), self.marginals()
         between = self._selected().between(f.one, f.other)
         C = np.block([[own[f.one], between], [np.swapaxes(between, 1, 2), own[f.other]]])
-        V = f.whole_sd[:, None, None] ** 2
-        S = J @ C @ np.swapaxes(J, 1, 2) / V
+        S = J @ C @ np.swapaxes(J, 1, 2) / f.sd[:, None, None] ** 2
         told, axes = np.linalg.eigh((S + np.swapaxes(S, 1, 2)) / 2)
         # Where nothing else tells a point's place, rounding decides what is left of one; its residual says nothing.
         left, apart = np.maximum(1 - told, UNTOLD), np.einsum("aji,aj->ai", axes, seen - f.position)
         off = np.einsum("aij,aj->ai", axes, np.where(1 - told > UNTOLD, apart / left, 0.0))
-        return off, axes / left[:, None, :] @ np.swapaxes(axes, 1, 2) * V
+        return off, axes / left[:, None, :] @ np.swapaxes(axes, 1, 2) * f.sd[:, None, None] ** 2
 
     def surprise_of_fixed(self) -> Scalars:
         """Squared residual that each fixed point has without it, in standard deviations: (a,)."""

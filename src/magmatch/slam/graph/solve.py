@@ -81,7 +81,7 @@ def _bring_to_fixed(graph: PoseGraph) -> None:
     f, root = graph.fixed, graph.connected()
     seen = graph.seen_at_fixed()[0]
     for r, rows in graph.fixed_by(root).items():
-        w = f.whole_sd[rows] ** -2
+        w = f.sd[rows] ** -2
         a, b = (np.average(points[rows], axis=0, weights=w) for points in (seen, f.position))
         R = np.eye(3)
         if graph.tell_the_frame(rows):

@@ -23,7 +23,7 @@ from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 from magmatch.store import expect, load, naming, save
 
-SESSION, SCHEMA = "session.state", "magmatch.slam.session/9"
+SESSION, SCHEMA = "session.state", "magmatch.slam.session/8"
 KINDS = (Anchor, Closure, Hyperparameters, PathNoise, SubmapFactor)
 
 
