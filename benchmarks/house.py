@@ -168,15 +168,17 @@ def settings() -> int:
 
 
 def numbers(root: Path) -> int:
-    """Numbers that somebody chose in registration: defaults of settings, what is assigned in modules and classes.
+    """Numbers that somebody chose in registration, and in what it estimates by.
+
+    Defaults of settings, what is assigned in modules and classes.
 
     Those that were fitted count too; the published method and the format of results do not, nor does 0, which means
     none, nor what `NOT_CHOSEN` names.
     """
-    room = root / "src/magmatch/registration"
-    fitted = [json.loads(path.read_text(encoding="utf-8")) for path in room.rglob("fitted.json")]
+    rooms = [root / "src/magmatch" / name for name in ("registration", "estimation")]
+    fitted = [json.loads(path.read_text(encoding="utf-8")) for room in rooms for path in room.rglob("fitted.json")]
     count = sum(len(law["offset"]) + ("scale" in law) + ("saturation" in law) for law in fitted)
-    for path in room.rglob("*.py"):
+    for path in (path for room in rooms for path in room.rglob("*.py")):
         if path.parent.name == "published" or path.name in ("result.py", "mapped_arrays.py"):
             continue
         module = ast.parse(path.read_text(encoding="utf-8"))

@@ -20,7 +20,7 @@ from collections import Counter
 from pathlib import Path
 
 REPOSITORY = Path(__file__).parents[1]
-ROOMS = ("registration", "field", "preparation", "data/logs")
+ROOMS = ("registration", "estimation", "field", "preparation", "data/logs")
 PACKAGE = Path("src/magmatch")
 # The tests of `make test`.
 COMMAND = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "not slow"]

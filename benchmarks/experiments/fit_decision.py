@@ -31,10 +31,10 @@ from short_walks import stretches
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
+from magmatch.estimation.posterior import Fitted, fitted, log_odds, posterior_over
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
-from magmatch.registration.decide.posterior import Fitted, fitted, log_odds, posterior_over
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.steps import settle_and_decide
 from magmatch.registration.strategies import strategies

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.registration.advice import diagnosis, of_odometry, remedy, with_advice
-from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.result import RegistrationResult, Status
 
 EARTH = np.array([18e-6, 3e-6, -45e-6])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.values import FieldValues
 from magmatch.geometry import exp_se3, perturbation, random_transform, transform_error
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.prepared.raster import rasterize
 from magmatch.registration.refine.refinement import RefinementConfig, look_up, refine, residual_jacobian

@@ -9,15 +9,15 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose
 from magmatch.data.survey import Survey
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.posterior import log_odds
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
-from magmatch.registration.decide.posterior import log_odds
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.register import register
 from magmatch.registration.result import Links, Status
 from magmatch.registration.search.candidate import SearchResult

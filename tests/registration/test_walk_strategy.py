@@ -4,12 +4,12 @@
 import numpy as np
 
 from hand_made import prepared_map, some_field
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.walk_index import WalkIndex
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.strategy import Pair
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence

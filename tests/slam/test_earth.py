@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from drifting import EARTH, Place, drifting_walk
-from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
+from magmatch.estimation.walk_null_model import UnrelatedWalk
 from magmatch.slam.run import slam
 
 

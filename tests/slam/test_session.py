@@ -13,10 +13,10 @@ import magmatch as mm
 from drifting import trajectory_error
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
+from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.field.sensor_biases import SensorBiases, without_bias
 from magmatch.geometry import adjoint, exp_se3, random_transform
 from magmatch.preparation.odometry.drift import OdometryConfig
-from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.runner import Runner
 from magmatch.slam.begin import settled
 from magmatch.slam.config import SlamConfig

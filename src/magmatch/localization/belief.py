@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.hypothesis import worst_sd
+from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
@@ -27,8 +29,6 @@ from magmatch.localization.weigh_hypotheses import (
     weigh,
 )
 from magmatch.registration.decide.decision import in_words, too_low
-from magmatch.registration.decide.estimate import worst_sd
-from magmatch.registration.decide.posterior import Answer, Posterior, log_odds, posterior_of
 from magmatch.typing import Matrix
 
 # Length of a bin in field lengths: short against the field's changes, long against noise.

@@ -5,8 +5,9 @@ from math import radians
 
 from pydantic import Field
 
+from magmatch.estimation.posterior import RIGHT_WITHIN
 from magmatch.preparation.odometry.drift import OdometryConfig
-from magmatch.registration.decide.decision import RIGHT_WITHIN, DecisionConfig
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.settings import Settings
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from magmatch._version import __version__
 from magmatch.errors import DataFormatError
+from magmatch.estimation.posterior import Answer, Posterior
 from magmatch.localization.belief import Belief
 from magmatch.localization.bins import Bin, Binning
 from magmatch.localization.config import LocalizerConfig
@@ -17,7 +18,6 @@ from magmatch.localization.localizer import Localizer
 from magmatch.localization.measurement import LatestBins
 from magmatch.localization.samples import LastSample
 from magmatch.localization.weigh_hypotheses import WeighedHypothesis
-from magmatch.registration.decide.posterior import Answer, Posterior
 
 # What a state may consist of, and changes with.
 SCHEMA = "magmatch.localizer/7"

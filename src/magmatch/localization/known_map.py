@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magmatch.estimation.cubes import thin
+from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotation_matrix
 from magmatch.localization.config import LocalizerConfig
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex, prepare_index
-from magmatch.registration.prepared.cubes import thin
-from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.typing import Covariance6, Matrix, Points, Scalars, Vector3
 
 # Of a field length: spacing of the raster, short against what a tracked position is known to, and of the starts.

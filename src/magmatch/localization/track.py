@@ -15,13 +15,13 @@ from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.data.tables.tum import write_poses
 from magmatch.data.trajectory import Trajectory
+from magmatch.estimation.hypothesis import worst_sd
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, transform_from_product
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import PoseEstimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
 from magmatch.localization.samples import MOST_STEP
-from magmatch.registration.decide.estimate import worst_sd
 from magmatch.typing import Mask, Scalars
 
 # Most moments at which a result gives the standard deviation.

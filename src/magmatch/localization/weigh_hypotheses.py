@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled
+from magmatch.estimation.hypothesis import Kind
+from magmatch.estimation.posterior import log_odds
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, predict
-from magmatch.registration.decide.posterior import log_odds
-from magmatch.registration.weigh.hypothesis import Kind
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
 
 # The statement of a hypothesis: the fields of a `PoseEstimate`; T is T_map_body.

@@ -9,9 +9,9 @@ import numpy as np
 
 from magmatch.data.diagnoses import constant_field, diagnose, of_verticals
 from magmatch.data.survey import Survey
+from magmatch.estimation.pose_prior import PosePriorConfig
+from magmatch.estimation.walk import MAX_BREADTH
 from magmatch.field.folds import has_path_order
-from magmatch.registration.prepared.pose_prior import PosePriorConfig
-from magmatch.registration.prepared.walk import MAX_BREADTH
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.weigh.bend import DRIFTS
 

@@ -6,11 +6,11 @@ from typing import Literal
 from pydantic import Field
 
 from magmatch.arguments import expect_kind
+from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.published.config import LITERAL, PublishedConfig
 from magmatch.published.register import FIELD
 from magmatch.registration.decide.decision import DecisionConfig
-from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.search.invariant_search import InvariantSearchConfig

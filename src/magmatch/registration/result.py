@@ -171,7 +171,7 @@ class RegistrationResult(TypedDocument):
     covariance : (6, 6) array or None
         Of xi in ``T_true = T_estimate Exp(xi)``, rotation first (rad, m); None unless accepted and known.
     probability : float or None
-        Calibrated probability that the transform is right (see `registration/decide/posterior.py`); of the
+        Calibrated probability that the transform is right (see `estimation/posterior.py`); of the
         first alternative if nothing was accepted; None with the published method.
     evidence : dict
         The figures behind the probability: evidence (``log_odds``, nats) for the best pose, how much of it is

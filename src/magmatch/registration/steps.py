@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.posterior import Answer, posterior_of
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
 from magmatch.published.register import register as register_published
@@ -17,7 +18,6 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Answer, posterior_of
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.index.map_index import MapIndex, prepare_index

@@ -5,11 +5,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.walk import choose_search, is_line
 from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.map_strategy import MapStrategy
-from magmatch.registration.prepared.walk import choose_search, is_line
 from magmatch.registration.strategy import Strategy
 from magmatch.registration.walk_strategy import WalkStrategy
 

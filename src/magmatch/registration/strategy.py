@@ -8,20 +8,20 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.hypothesis import Hypothesis
+from magmatch.estimation.model_prior import overlap_weight
+from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig, pose_prior
+from magmatch.estimation.posterior import Answer, answers_of
 from magmatch.field.map import FieldMap
 from magmatch.registration.bases import Bases
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Answer, answers_of
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.prepared.inside import spread_inside
-from magmatch.registration.prepared.model_prior import overlap_weight
-from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.weigh.bend import Bend
-from magmatch.registration.weigh.hypothesis import Hypothesis
 
 BaseSide = TypeVar("BaseSide")
 TargetSide = TypeVar("TargetSide")

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.pose_prior import pose_prior
+from magmatch.estimation.walk import Walk, walk_of
 from magmatch.field.map import FieldMap
 from magmatch.registration.bases import Bases
 from magmatch.registration.config import RegistrationConfig
@@ -14,9 +16,7 @@ from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import WalkIndex
-from magmatch.registration.prepared.pose_prior import pose_prior
 from magmatch.registration.prepared.prepared_map import height_range
-from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.strategy import Among, Pair, Weighed

@@ -10,13 +10,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.arguments import column_of, expect_transform, points_of
 from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PRIOR_STRETCHES
+from magmatch.estimation.walk import BIN_LENGTH
 from magmatch.field.selection.spline_hyperparameters import FEWEST_SAMPLES
 from magmatch.field.sensor_biases import without_bias
 from magmatch.geometry import path_moved
 from magmatch.number_text import told
 from magmatch.preparation.recalibrations import NEIGHBOURS
-from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
-from magmatch.registration.prepared.walk import BIN_LENGTH
 from magmatch.runner import Runner
 from magmatch.slam.begin import begin, settled
 from magmatch.slam.config import SlamConfig

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import logit
 
-from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES, most_likely
-from magmatch.registration.prepared.walk import MIN_BINS
+from magmatch.estimation.path_noise import PRIOR_STRETCHES, most_likely
+from magmatch.estimation.walk import MIN_BINS
 from magmatch.runner import Runner
 from magmatch.slam.decide.probable_closures import probable_closures
 from magmatch.slam.decide.shared_frame_odds import log_odds_shared

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magmatch.registration.prepared.path_noise import Stretch
+from magmatch.estimation.path_noise import Stretch
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.registration.search.retrieval import count_votes, shortlist
 from magmatch.runner import Runner, Shared

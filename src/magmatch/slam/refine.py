@@ -16,11 +16,11 @@ from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.walk import BIN_LENGTH, bin_along_path, bin_means
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import product, rotation_matrix
 from magmatch.progress import counted
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.walk import BIN_LENGTH, bin_along_path, bin_means
 from magmatch.runner import Runner
 from magmatch.slam.decide.probable_closures import off_level
 from magmatch.slam.graph.factors import LEAST_KEPT, SubmapFactor

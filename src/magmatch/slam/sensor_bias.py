@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
+from magmatch.estimation.walk import bin_along_path, bin_means
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
 from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.registration.prepared.walk import bin_along_path, bin_means
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Vector3
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from math import inf
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.progress import counted
 from magmatch.registration.clock import Clock
-from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.runner import Runner
 from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig

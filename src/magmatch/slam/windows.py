@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import jumps
 from magmatch.data.survey import Survey
+from magmatch.estimation.walk import BIN_LENGTH, Walk, bin_along_path, bin_means, walk_of
 from magmatch.geometry import path_walked, rotation_matrix
-from magmatch.registration.prepared.walk import BIN_LENGTH, Walk, bin_along_path, bin_means, walk_of
 from magmatch.slam.bending import bend, turned
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Indices, Points, Scalars, Vector3

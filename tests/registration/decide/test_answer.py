@@ -6,11 +6,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose
+from magmatch.estimation.posterior import effective_evidence, log_odds, posterior_over
 from magmatch.geometry import random_transform
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import effective_evidence, log_odds, posterior_over
 from magmatch.registration.decide.support import Support
 from magmatch.registration.result import Links, RegistrationResult, Status
 

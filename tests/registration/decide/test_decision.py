@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose
+from magmatch.estimation.posterior import Answer, Posterior, needed_evidence, posterior_over
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide, in_words
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Answer, Posterior, needed_evidence, posterior_over
 from magmatch.registration.result import Status
 
 CONFIG = DecisionConfig()

@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import box, prepared_map, some_field, turn_about
+from magmatch.estimation.pose_prior import FAR2
+from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.decide.support import support_of_map, support_of_walk
-from magmatch.registration.prepared.pose_prior import FAR2
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.evidence import Change, PoseEvidence

@@ -8,9 +8,9 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import box, prepared_map, some_field
 from magmatch.data.survey import Survey
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.values import FieldValues
 from magmatch.registration.prepared.drift import Drift, field_variance, white_variance
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.weigh.covariance import drift_covariance
 

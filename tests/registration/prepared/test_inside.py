@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.prepared.inside import spread_inside
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.raster import Raster
 
 SPACING = 0.1

@@ -8,9 +8,9 @@ from scipy.linalg import eigvalsh
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import EARTH, Polynomial, box, prepared_map, some_field
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.geometry import perturbation, random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinementConfig, refine

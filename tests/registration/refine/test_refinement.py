@@ -9,9 +9,9 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from hand_made import Polynomial, box, prepared_map, some_field, turn_about
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.geometry import rotation_matrix
 from magmatch.registration.prepared.drift import Drift, field_variance
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import (
     RefinementConfig,
     ResidualBlock,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hand_made import box, prepared_map, some_field, turn_about
+from magmatch.estimation.hypotheses import Hypotheses
 from magmatch.geometry import rotation_matrix
-from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.search.annealing import anneal_poses
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 

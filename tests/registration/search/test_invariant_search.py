@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from hand_made import box, prepared_map, seen_from, some_field, turn_about
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.geometry import random_transform, rotation_matrix
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
     choose_anchors,

@@ -8,10 +8,10 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from hand_made import box, prepared_map, some_field
+from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform, rotation_matrix
-from magmatch.registration.prepared.hypotheses import Hypotheses
-from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.candidate import N_CANDIDATES
 from magmatch.registration.search.pair_search import (
     PairSearchConfig,

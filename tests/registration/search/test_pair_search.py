@@ -8,15 +8,15 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PathNoise, Stretch, most_likely
+from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig
+from magmatch.estimation.walk import bin_along_path, choose_search, walk_of
 from magmatch.geometry import exp_se3, log_se3, perturbation, random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, WalkConfig
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.index.walk_index import index_walks
-from magmatch.registration.prepared.path_noise import PathNoise, Stretch, most_likely
-from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig
 from magmatch.registration.prepared.prepared_map import prepare
-from magmatch.registration.prepared.walk import bin_along_path, choose_search, walk_of
 from magmatch.registration.result import Status
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.steps import settle_and_decide

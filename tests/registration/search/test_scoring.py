@@ -9,8 +9,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from hand_made import EARTH, box, prepared_map, seen_from, some_field, turn_about
+from magmatch.estimation.hypotheses import Hypotheses
 from magmatch.geometry import random_transform, rotation_matrix
-from magmatch.registration.prepared.hypotheses import Hypotheses
 from magmatch.registration.search.scoring import expected_variance, mixture_ratio, score_poses, weigh_samples
 
 RNG = np.random.default_rng(0)

@@ -11,12 +11,12 @@ from scipy.integrate import quad
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import Polynomial, WeighedPose, prepared_map, some_field
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.walk import Walk
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.bend import Bend, bend_of_map, bend_of_walk

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from magmatch import build_map, register, simulate
+from magmatch.estimation.model_prior import RATES
+from magmatch.estimation.posterior import answers_of
 from magmatch.field.config import SPLINE
 from magmatch.geometry import log_se3, transform_error
 from magmatch.registration.config import PRESETS
-from magmatch.registration.decide.posterior import answers_of
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.prepared.model_prior import RATES
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bending_walk import BendingWalk
 from magmatch.simulation.config import SimulationConfig

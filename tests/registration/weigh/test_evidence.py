@@ -10,8 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from hand_made import box, prepared_map, seen_from, some_field, turn_about
+from magmatch.estimation.map_null_model import average_cells
+from magmatch.estimation.pose_prior import FAR2, PosePrior
 from magmatch.geometry import rotation_matrix
-from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.cells import (
@@ -22,7 +23,6 @@ from magmatch.registration.weigh.cells import (
 )
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.evidence import Change, weigh_pose
-from magmatch.registration.weigh.map_null_model import average_cells
 
 FIELD = some_field(3, slope=10e-6, bend=0.0)  # linear: what is interpolated is exact, in every frame
 PRIOR = PosePrior(10.0)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import Polynomial, box, prepared_map, some_field
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine, step_between
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.map_covariance import map_covariance

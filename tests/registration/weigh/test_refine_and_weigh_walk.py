@@ -11,13 +11,13 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from hand_made import prepared_map, seen_from, some_field, turn_about
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.walk import Walk
+from magmatch.estimation.walk_null_model import LENGTHSCALES, STRENGTHS, UnrelatedWalk
 from magmatch.geometry import random_transform
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.weigh import refine_and_weigh_walk
 from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, weigh_walk
-from magmatch.registration.weigh.walk_null_model import LENGTHSCALES, STRENGTHS, UnrelatedWalk
 
 LENGTH, SD = 0.8, 0.1e-6
 FIELD = some_field(3, slope=10e-6, bend=6e-6)

@@ -7,8 +7,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.preparation.odometry.drift import OdometryConfig
-from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.factors import Closure, Edges
 from magmatch.slam.graph.learned_drift import learned_drift, log_evidence

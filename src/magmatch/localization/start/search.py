@@ -8,6 +8,8 @@ Where it is not, pairs of points propose poses, as for a walk in a registration,
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.pose_prior import PosePriorConfig, pose_prior
+from magmatch.estimation.walk import walk_of
 from magmatch.geometry import rotation_matrix
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
@@ -16,8 +18,6 @@ from magmatch.localization.start.grid_score import UNKNOWN, score_all
 from magmatch.localization.start.least_squares import STRETCH, Priors, refine_all
 from magmatch.localization.state import BIAS, Model, hypotheses, start_covariance
 from magmatch.preparation.odometry.drift import LEVEL_SD
-from magmatch.registration.prepared.pose_prior import PosePriorConfig, pose_prior
-from magmatch.registration.prepared.walk import walk_of
 from magmatch.registration.search.pair_search import PairSearchConfig, pair_search
 from magmatch.typing import Points, Scalars, Vector3
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.hypothesis import Hypothesis
+from magmatch.estimation.posterior import Posterior
 from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Posterior
 from magmatch.registration.decide.support import Support
 from magmatch.registration.result import Alternative, RegistrationResult, Status
-from magmatch.registration.weigh.hypothesis import Hypothesis
 
 
 def state_answer(

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
+from magmatch.estimation.hypothesis import Hypothesis
+from magmatch.estimation.posterior import RIGHT_WITHIN, Posterior, needed_evidence
 from magmatch.registration.decide.estimate import Estimate
-from magmatch.registration.decide.posterior import Posterior, needed_evidence
 from magmatch.registration.result import Status
-from magmatch.registration.weigh.hypothesis import Hypothesis
 from magmatch.settings import Settings
-
-# A pose is right within this multiple of the largest standard deviation allowed; closer rivals are one answer.
-RIGHT_WITHIN = 3.0
 
 
 class DecisionConfig(Settings):

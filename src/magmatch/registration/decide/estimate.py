@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.hypothesis import Hypothesis, worst_sd
 from magmatch.geometry import adjoint, perturbation, perturbation_between, rotation_matrix
 from magmatch.registration.result import DegenerateDirection
-from magmatch.registration.weigh.hypothesis import Hypothesis
 from magmatch.typing import Covariance6, Vector3
 
 
@@ -78,12 +78,6 @@ class Estimate:
             motion, along = ("turning about", theta) if is_turn else ("sliding along", rho)
             found.append(DegenerateDirection(xi / np.linalg.norm(xi), f"{motion} base {_axis_words(R @ along)}"))
         return tuple(found)
-
-
-def worst_sd(covariance: Covariance6) -> tuple[float, float]:
-    """Standard deviation in the worst direction, of the place (m) and of the turn (rad)."""
-    turn, shift = np.linalg.eigvalsh(np.stack([covariance[:3, :3], covariance[3:, 3:]]))[:, -1].tolist()
-    return np.sqrt(max(shift, 0.0)), np.sqrt(max(turn, 0.0))
 
 
 def _axis_words(v: np.ndarray) -> str:

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.pose_prior import FAR2
+from magmatch.estimation.walk import Walk
 from magmatch.geometry import rotate_vectors, rotation_matrix, transform_points
 from magmatch.published.fitness import mean_misalignment
-from magmatch.registration.prepared.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.sensors import TIED_SD
 from magmatch.registration.result import NO_LINKS, Links, Sensor
 from magmatch.registration.weigh.evidence import PoseEvidence

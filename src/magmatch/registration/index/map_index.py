@@ -18,12 +18,12 @@ import numpy as np
 
 from magmatch.brief import brief
 from magmatch.errors import DataFormatError
+from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.walk_index import WalkIndex, index_walks
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.prepared_map import PreparedMap, known_samples, prepare
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.registration.search.kdtree import NeighbourTree

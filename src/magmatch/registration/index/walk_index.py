@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.registration.prepared.path_noise import PathNoise, learn_path_noise
+from magmatch.estimation.path_noise import PathNoise, learn_path_noise
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
 

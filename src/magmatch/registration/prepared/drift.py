@@ -12,11 +12,11 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtri
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.cubes import FEW_POINTS, MOST_POINTS, even_choice
+from magmatch.estimation.pose_prior import RARE
 from magmatch.field.folds import has_path_order
 from magmatch.field.values import FieldFunction, gradient_norm, gradient_of
 from magmatch.geometry import path_walked
-from magmatch.registration.prepared.cubes import FEW_POINTS, MOST_POINTS, even_choice
-from magmatch.registration.prepared.pose_prior import RARE
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 
 # Positions of dead reckoning wander: about their own mean, their correlation length is this share of the path.

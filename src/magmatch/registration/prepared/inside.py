@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.compiled import compiled_ahead
-from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
-from magmatch.registration.prepared.pose_prior import MOST_DRAWN, UP, PosePrior
+from magmatch.estimation.cubes import FEW_POINTS, even_choice
+from magmatch.estimation.pose_prior import MOST_DRAWN, UP, PosePrior
 from magmatch.registration.prepared.raster import RASTER, Raster, find_cell
 from magmatch.typing import Points, Scalars, Tensors
 

@@ -15,11 +15,11 @@ from scipy.special import chdtri
 from magmatch.data.checks import MIN_SAMPLES
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
+from magmatch.estimation.cubes import SAMPLING, thin
 from magmatch.features.invariants import rotation_invariants, traceless_symmetric
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldFunction, FieldValues, gradient_norm, gradient_of
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import SAMPLING, thin
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
@@ -27,8 +27,6 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vectors
 # Medians of chi-square variables: robust variance from squared norms of a vector, and of a traceless symmetric
 # gradient, which has five independent components.
 MEDIAN_CHI2_3, MEDIAN_CHI2_5 = (float(chdtri(n, 0.5)) for n in (3, 5))
-# Posterior samples that give the spread of what is derived from a map.
-N_DRAWS = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True)

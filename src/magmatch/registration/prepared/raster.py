@@ -8,9 +8,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from magmatch.compiled import compiled, compiled_ahead, record
+from magmatch.estimation.hypotheses import OUTLIER_SHARE
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
 MAX_POINTS = 1_500_000

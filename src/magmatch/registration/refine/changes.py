@@ -14,12 +14,12 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, transform_points
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import (
     CLOSE,

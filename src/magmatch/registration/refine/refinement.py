@@ -17,13 +17,13 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
+from magmatch.estimation.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
+from magmatch.estimation.hypotheses import N_REFINED, POSE_SHIFT, POSE_TURN
+from magmatch.estimation.model_prior import SENSORS_DIFFER
+from magmatch.estimation.pose_prior import FAR2, PosePrior
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, perturbation_between, rotate_vectors, skew, transform_points
-from magmatch.registration.prepared.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
 from magmatch.registration.prepared.drift import Drift, field_variance
-from magmatch.registration.prepared.hypotheses import N_REFINED, POSE_SHIFT, POSE_TURN
-from magmatch.registration.prepared.model_prior import SENSORS_DIFFER
-from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, levels_to_try, prior_sd
 from magmatch.settings import Settings

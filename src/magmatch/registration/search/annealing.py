@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from magmatch.compiled import compiled, compiled_ahead, record
+from magmatch.estimation.hypotheses import HYPOTHESES, Hypotheses
 from magmatch.field.cholesky.blas import PLAIN, address_of, gemm, gesv
-from magmatch.registration.prepared.hypotheses import HYPOTHESES, Hypotheses
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate
 from magmatch.registration.search.scoring import EVIDENCE, Evidence, expected_variance, mixture_ratio

@@ -8,14 +8,15 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import ndtri
 
 from magmatch.compiled import compiled_ahead
-from magmatch.distinct import distinct_poses
+from magmatch.estimation.cubes import FEW_POINTS, RANKING_POINTS, SAMPLING
+from magmatch.estimation.distinct import distinct_poses
+from magmatch.estimation.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
+from magmatch.estimation.path_noise import N_DRAWS
+from magmatch.estimation.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import FEW_POINTS, RANKING_POINTS, SAMPLING
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
-from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
-from magmatch.registration.prepared.prepared_map import N_DRAWS, PreparedMap, common_length
+from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import N_CANDIDATES, SearchResult
 from magmatch.registration.search.scoring import score_poses, weigh_samples

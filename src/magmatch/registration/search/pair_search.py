@@ -7,14 +7,14 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from magmatch.distinct import distinct_poses
+from magmatch.estimation.cubes import COARSER, FEW_POINTS, SAMPLING, even_choice, thin
+from magmatch.estimation.distinct import distinct_poses
+from magmatch.estimation.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
+from magmatch.estimation.pose_prior import MORE_NEIGHBOURS, PosePrior
+from magmatch.estimation.walk import Walk
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import COARSER, FEW_POINTS, SAMPLING, even_choice, thin
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
-from magmatch.registration.prepared.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import best_admitted

@@ -14,9 +14,9 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE, pose_inaccuracy
+from magmatch.estimation.hypotheses import OUTLIER_SHARE, pose_inaccuracy
+from magmatch.estimation.walk import Walk, walk_of
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.prepared.walk import Walk, walk_of
 from magmatch.registration.search.invariant_search import (
     choose_anchors,
     frame_hypotheses,

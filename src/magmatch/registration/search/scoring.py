@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from magmatch.compiled import compiled, compiled_ahead, record
-from magmatch.registration.prepared.hypotheses import HYPOTHESES, Hypotheses
-from magmatch.registration.prepared.pose_prior import FAR2
+from magmatch.estimation.hypotheses import HYPOTHESES, Hypotheses
+from magmatch.estimation.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, MEDIAN_CHI2_5, PreparedMap
 from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate_field
 from magmatch.threads import side_by_side, slices

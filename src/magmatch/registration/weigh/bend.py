@@ -9,12 +9,12 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 from scipy.special import expit, gammainc, gammaln
 
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.walk import Walk
 from magmatch.field.folds import has_path_order
 from magmatch.geometry import adjoint, path_walked, rotation_matrix
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.prepared.walk import Walk
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
 from magmatch.registration.weigh.evidence import PoseEvidence

@@ -20,20 +20,20 @@ from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.estimation.bending import Bending, bending_of
+from magmatch.estimation.hypotheses import N_REFINED
+from magmatch.estimation.hypothesis import in_order
+from magmatch.estimation.model_prior import EACH_RATE, RATES
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.walk import MIN_BINS, Walk
+from magmatch.estimation.walk_null_model import UnrelatedWalk
+from magmatch.estimation.walk_rows import N_COLUMNS, residual_rows
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
-from magmatch.registration.prepared.bending import Bending, bending_of
-from magmatch.registration.prepared.hypotheses import N_REFINED
-from magmatch.registration.prepared.model_prior import EACH_RATE, RATES
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
-from magmatch.registration.weigh.hypothesis import in_order
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
-from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
-from magmatch.registration.weigh.walk_rows import N_COLUMNS, residual_rows
 from magmatch.typing import Mask, Matrix, Points, Vector3
 
 # At which of the rates poses are compared first.

@@ -8,13 +8,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import gammaln
 
+from magmatch.estimation.cubes import cube_keys
+from magmatch.estimation.hypotheses import OUTLIER_SHARE
+from magmatch.estimation.map_null_model import CellMeans, NullModel, UnrelatedField, average_cells
 from magmatch.geometry import rotate_vectors, transform_points
-from magmatch.registration.prepared.cubes import cube_keys
 from magmatch.registration.prepared.drift import field_variance
-from magmatch.registration.prepared.hypotheses import OUTLIER_SHARE
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose
-from magmatch.registration.weigh.map_null_model import CellMeans, NullModel, UnrelatedField, average_cells
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
 

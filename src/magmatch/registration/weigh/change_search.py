@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.hypothesis import in_order
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.progress import tell
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import MOST_STEPS, RefinedPose, step_between
@@ -19,7 +20,6 @@ from magmatch.registration.weigh.cells import (
     compare_cells,
 )
 from magmatch.registration.weigh.evidence import Change, PoseEvidence, weigh_pose
-from magmatch.registration.weigh.hypothesis import in_order
 from magmatch.typing import Indices
 
 

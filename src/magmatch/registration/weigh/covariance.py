@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from magmatch.registration.prepared.cubes import sum_by_cube
+from magmatch.estimation.cubes import sum_by_cube
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.typing import Covariance6, Matrix
 

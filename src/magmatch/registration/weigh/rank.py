@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.hypothesis import in_order
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.progress import tell
-from magmatch.registration.prepared.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine, step_between
@@ -16,7 +17,6 @@ from magmatch.registration.refine.sensors import levels_to_try
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.change_search import ChangeSearch
 from magmatch.registration.weigh.evidence import PoseEvidence, weigh_pose
-from magmatch.registration.weigh.hypothesis import in_order
 
 Weigh = Callable[[RigidTransform | RefinedPose, RefinementConfig, int], PoseEvidence]
 

@@ -15,18 +15,18 @@ from pydantic import Field
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.estimation.hypotheses import N_REFINED, OUTLIER_SHARE
+from magmatch.estimation.hypothesis import Kind
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import FAR2, PosePrior
+from magmatch.estimation.walk import MIN_BINS, Walk
+from magmatch.estimation.walk_null_model import UnrelatedWalk
+from magmatch.estimation.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
-from magmatch.registration.prepared.hypotheses import N_REFINED, OUTLIER_SHARE
 from magmatch.registration.prepared.inside import spread_inside
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.pose_prior import FAR2, PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.prepared.walk import MIN_BINS, Walk
 from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
-from magmatch.registration.weigh.hypothesis import Kind
-from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
-from magmatch.registration.weigh.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magmatch.registration.prepared.pose_prior import PosePrior
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import fmin
 
-from magmatch.registration.prepared.path_noise import PRIOR_STRETCHES
+from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.normal_equations import LEAST_LASTING, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph

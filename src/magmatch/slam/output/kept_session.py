@@ -8,9 +8,9 @@ from typing import Any
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
+from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.sensor_biases import without_bias
-from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
 from magmatch.slam.graph.factors import Closure, SubmapFactor

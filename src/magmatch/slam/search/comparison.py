@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.path_noise import PathNoise
 from magmatch.geometry import is_one_pose, product, turn_and_shift
-from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.runner import Shared
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.search.loop_closure import (

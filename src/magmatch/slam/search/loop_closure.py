@@ -9,16 +9,16 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.hypotheses import pose_inaccuracy
+from magmatch.estimation.path_noise import PathNoise, Stretch
+from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig, pose_prior
+from magmatch.estimation.posterior import distinct, log_odds
+from magmatch.estimation.walk_null_model import UnrelatedWalk
 from magmatch.field.values import gradient_of
 from magmatch.geometry import adjoint, product, rotation_matrix, turn_and_shift
 from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
-from magmatch.registration.decide.posterior import distinct, log_odds
-from magmatch.registration.prepared.hypotheses import pose_inaccuracy
-from magmatch.registration.prepared.path_noise import PathNoise, Stretch
-from magmatch.registration.prepared.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
-from magmatch.registration.weigh.walk_null_model import UnrelatedWalk
 from magmatch.slam.graph.factors import MOST_ODDS
 from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.registration.index.walk_index import WalkIndex
-from magmatch.registration.prepared.path_noise import PathNoise
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
 from magmatch.runner import Shared

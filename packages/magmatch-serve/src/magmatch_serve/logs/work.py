@@ -22,13 +22,13 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError, MagmatchError, MissingExtraError, first_fault
+from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import Place, open_place
 from magmatch.localization.localize import localize
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.atlas import Atlas
-from magmatch.registration.prepared.pose_prior import PosePriorConfig
 from magmatch.registration.register import register
 from magmatch.settings import of_vertical
 from magmatch.viz.figures.plotting import magnitude_ut

@@ -14,10 +14,7 @@ from scipy.stats import multivariate_normal, norm
 
 from hand_made import some_field
 from magmatch.data.survey import Survey
-from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
-from magmatch.field.fit import fit_posterior
-from magmatch.registration.prepared.path_noise import (
+from magmatch.estimation.path_noise import (
     PathNoise,
     Stretch,
     _likelihood,
@@ -27,6 +24,9 @@ from magmatch.registration.prepared.path_noise import (
     most_likely,
     predict_stretches,
 )
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
+from magmatch.field.fit import fit_posterior
 
 NOISE = PathNoise(1.1e-6, 0.8, 0.3e-6, 0.5e-6, 1.4, 0.6, 0.02, 0.06, 4.0, spread=0.4, n_stretches=9)
 

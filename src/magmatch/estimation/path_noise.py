@@ -15,17 +15,18 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.cubes import FEW_POINTS, SAMPLING, even_choice
+from magmatch.estimation.pose_prior import ATTITUDE_SD
+from magmatch.estimation.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.field.fit import fit_posterior
 from magmatch.field.folds import folds_of
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, skew
 from magmatch.progress import tell
-from magmatch.registration.prepared.cubes import FEW_POINTS, SAMPLING, even_choice
-from magmatch.registration.prepared.pose_prior import ATTITUDE_SD
-from magmatch.registration.prepared.prepared_map import N_DRAWS
-from magmatch.registration.prepared.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
+# Posterior samples that give the spread of what is derived from a map.
+N_DRAWS = 8
 # Length of a held-out stretch of the base's path in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
 # Prior spread (natural log) of the parameters about their guesses, and of one walk's covariance about another's; and

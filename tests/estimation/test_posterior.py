@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose, turn_about
-from magmatch.geometry import random_transform
-from magmatch.registration.decide.posterior import (
+from magmatch.estimation.posterior import (
     Fitted,
     effective_evidence,
     fitted,
@@ -19,6 +18,7 @@ from magmatch.registration.decide.posterior import (
     needed_evidence,
     posterior_over,
 )
+from magmatch.geometry import random_transform
 
 KINDS = ("map", "walk")
 # m and rad
@@ -234,3 +234,11 @@ def test_models_of_one_pose_add_up_and_poses_of_one_model_do_not(e, gap, misfit)
 def test_a_lone_pose_has_the_evidence_that_it_has():
     (answer,) = posterior_over([WeighedPose(log_evidence=123.4, misfit=0.9)], TOLERANCE).answers
     assert (answer.effective, answer.shares) == (123.4, (1.0,))
+
+
+def test_models_of_a_pose_are_one_answer_where_it_is_known_less_well_than_is_asked():
+    rough = np.diag([0.01] * 3 + [0.5**2] * 3)
+    best = shifted(0.0, covariance=rough)
+    freer, rival = (shifted(1.4, log_evidence=190.0, model=model) for model in ("bends", "rigid"))
+    assert len(posterior_over([best, freer], TOLERANCE).answers) == 1
+    assert len(posterior_over([best, rival], TOLERANCE).answers) == 2

@@ -23,8 +23,8 @@ from typing import Generic
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from magmatch.estimation.hypothesis import H, Kind, worst_sd
 from magmatch.geometry import is_one_pose
-from magmatch.registration.weigh.hypothesis import H, Kind
 
 
 class Fitted(BaseModel):
@@ -44,6 +44,11 @@ class Fitted(BaseModel):
     def effective(self, log_odds: float, kind: Kind) -> float:
         """Effective evidence (nats) that has such log odds."""
         return float(self.saturation * np.sinh((log_odds + self.offset.get(kind, 0.0)) / self.scale))
+
+
+# A pose is right within this multiple of the largest standard deviation allowed, and models of one pose are one
+# answer within it, or within this multiple of what they are known by.
+RIGHT_WITHIN = 3.0
 
 
 @cache
@@ -160,17 +165,25 @@ def posterior_of(answers: Sequence[Answer[H]], prior_odds: float = 1.0, elsewher
 def answers_of(hypotheses: Sequence[H], tolerance: tuple[float, float]) -> list[Answer[H]]:
     """Gather hypotheses about the most probable ones, no farther from them than the tolerance (m, rad).
 
-    Of one model each answer has the most probable pose: a search may find the same one from many starts.
+    Models of one pose are one answer also where less is known than is asked for. Of one model each answer has the
+    most probable pose: a search may find the same one from many starts.
     """
     found = list[list[H]]()
     ranked = sorted((h for h in hypotheses if np.isfinite(_effective(h))), key=lambda h: -_effective(h))
     for h in ranked:
-        same = next((one for one in found if is_same_answer(h, one[0], tolerance)), None)
+        same = next((one for one in found if is_same_answer(h, one[0], _told_apart(h, one[0], tolerance))), None)
         if same is None:
             found.append([h])
         elif all(h.model != other.model for other in same):
             same.append(h)
     return [Answer.of(one) for one in found]
+
+
+def _told_apart(h: H, best: H, tolerance: tuple[float, float]) -> tuple[float, float]:
+    if h.model == best.model or best.covariance is None:
+        return tolerance
+    shift, turn = (RIGHT_WITHIN * sd for sd in worst_sd(best.covariance))
+    return max(tolerance[0], shift), max(tolerance[1], turn)
 
 
 def _effective(h: H) -> float:

@@ -4,6 +4,7 @@
 from collections.abc import Iterable
 from typing import Literal, Protocol, TypeVar
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.typing import Covariance6, Vector3
@@ -57,3 +58,9 @@ H = TypeVar("H", bound=Hypothesis)
 def in_order(found: Iterable[H | None]) -> list[H]:
     """Those that exist, with most evidence first."""
     return sorted((one for one in found if one is not None), key=lambda one: -one.log_evidence)
+
+
+def worst_sd(covariance: Covariance6) -> tuple[float, float]:
+    """Standard deviation in the worst direction, of the place (m) and of the turn (rad)."""
+    turn, shift = np.linalg.eigvalsh(np.stack([covariance[:3, :3], covariance[3:, 3:]]))[:, -1].tolist()
+    return np.sqrt(max(shift, 0.0)), np.sqrt(max(turn, 0.0))

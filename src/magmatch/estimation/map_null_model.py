@@ -14,8 +14,8 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
-from magmatch.registration.prepared.cubes import cube_keys, even_choice
-from magmatch.registration.prepared.walk import MAX_WEIGHED
+from magmatch.estimation.cubes import cube_keys, even_choice
+from magmatch.estimation.walk import MAX_WEIGHED
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Tried lengthscales (in the survey's correlation length) and strengths (in the cells' standard deviation), and this

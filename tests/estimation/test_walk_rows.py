@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
 from magmatch.geometry import skew
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.weigh.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
 
 NOISE = PathNoise(2e-7, 0.8, 1e-7, 1e-7, 1.5, 0.9, 0.01, 0.02, 3.0)
 POSES, BINS = 3, 7

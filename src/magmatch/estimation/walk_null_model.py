@@ -7,10 +7,10 @@ from itertools import product
 
 import numpy as np
 
-from magmatch.registration.prepared.cubes import FEW_POINTS, even_choice
-from magmatch.registration.prepared.path_noise import PathNoise
-from magmatch.registration.prepared.walk import Walk
-from magmatch.registration.weigh.walk_rows import whiten
+from magmatch.estimation.cubes import FEW_POINTS, even_choice
+from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.walk import Walk
+from magmatch.estimation.walk_rows import whiten
 from magmatch.typing import Indices, Mask, Matrix, Scalars, Vector3, Vectors
 
 # Tried lengthscales (in correlation lengths) and strengths (in the standard deviation of the bins asked for).

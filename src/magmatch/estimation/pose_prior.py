@@ -14,9 +14,9 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
+from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.prior_rows import add_height, add_pose, add_vertical, rule_out_far
 from magmatch.geometry import perturbation, product, rotation_matrix
-from magmatch.registration.prepared.hypotheses import Hypotheses
-from magmatch.registration.prepared.prior_rows import add_height, add_pose, add_vertical, rule_out_far
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
 

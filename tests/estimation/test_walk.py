@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.registration.prepared.walk import bin_along_path, choose_search, line_share, walk_of
+from magmatch.estimation.walk import bin_along_path, choose_search, line_share, walk_of
 
 
 def straight(n=200, length=3.0):

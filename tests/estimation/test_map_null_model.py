@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from magmatch.registration.weigh.map_null_model import (
+from magmatch.estimation.map_null_model import (
     FACTORS,
     ROUGH_SHARE,
     CellMeans,

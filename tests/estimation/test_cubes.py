@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from magmatch.registration.prepared.cubes import cube_keys, sum_by_cube, thin
+from magmatch.estimation.cubes import cube_keys, sum_by_cube, thin
 
 POINTS = np.random.default_rng(0).uniform(-3, 3, (300, 3))
 CUBES = [tuple(c) for c in np.floor(POINTS / 0.9).astype(int)]

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.prior_rows import _rotation_vector
 from magmatch.geometry import skew
-from magmatch.registration.prepared.pose_prior import PosePrior
-from magmatch.registration.prepared.prior_rows import _rotation_vector
 
 CENTER = np.array([0.4, -0.2, 0.7])
 

@@ -10,11 +10,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi_square
 from scipy.stats import multivariate_normal
 
+from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.prepared.hypotheses import Hypotheses
-from magmatch.registration.prepared.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
 from magmatch.registration.refine.refinement import RefinementConfig
 from magmatch.registration.register import register
 from magmatch.registration.search.invariant_search import InvariantSearchConfig
