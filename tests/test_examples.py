@@ -13,7 +13,7 @@ import magmatch as mm
 ROOT = Path(__file__).parents[1]
 
 
-SLOW = ("04_slam", "06_own_descriptor")
+SLOW = ("04_slam",)
 EXAMPLES = [
     pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in SLOW))
     for path in sorted((ROOT / "examples").glob("0*.py"))

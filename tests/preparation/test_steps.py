@@ -17,8 +17,8 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.preparation.disturbances import find_jumps, find_saturation, runs
 from magmatch.preparation.earth_field import Place, earth_field, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
-from magmatch.preparation.resampling import resample_by_distance, steps_of
 from magmatch.preparation.sensor_model import SensorCorrection
+from magmatch.preparation.survey_steps import resample_by_distance, steps_of
 
 SETTINGS = settings(deadline=None, max_examples=30)
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))

@@ -2,9 +2,12 @@
 """Steps that look at the corrected survey, disturbances and resampling, each with its report."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache, partial
+from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from magmatch.arguments import column_of
 from magmatch.data.checks import time_gaps
@@ -22,10 +25,9 @@ from magmatch.preparation.disturbances import (
     runs,
 )
 from magmatch.preparation.preparation_report import Outcome, StepReport
-from magmatch.preparation.resampling import resample_by_distance, steps_of
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
-from magmatch.typing import Mask, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 
 def checked_channels(channels: Mapping[str, Scalars], n: int) -> dict[str, Scalars]:
@@ -107,3 +109,45 @@ def _disturbance_step(name: str, mode: Flagging, mask: Mask, words: str, survey:
     text = f"{count} {words}" + ("; left out" if outcome == "applied" else "; kept" if count else "")
     figures = {"runs": runs(mask, survey.times), "share": count / max(len(survey), 1)}
     return StepReport(name, outcome, text, count, 0 if outcome == "applied" else count, "samples", figures)
+
+
+def resample_by_distance(survey: Survey, step: float, average: Literal["mean", "median"]) -> Survey:
+    """Average the samples of each step of the way."""
+    number = steps_of(survey.positions, step)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    counts = np.diff(np.append(first, len(number)))
+
+    def mean(rows: np.ndarray) -> np.ndarray:
+        sums = np.add.reduceat(rows, first, axis=0)
+        return np.asarray(sums / (counts[:, None] if rows.ndim == 2 else counts))
+
+    field = mean(survey.field)
+    if average == "median":
+        parts = np.split(survey.field, first[1:])
+        field = np.array([np.median(part, axis=0) for part in parts])
+    turned = None
+    if survey.orientations is not None:
+        stretches = np.split(np.arange(len(number)), first[1:])
+        turned = Rotation.concatenate([survey.orientations[rows].mean() for rows in stretches])
+    return replace(
+        survey,
+        positions=mean(survey.positions),
+        field=field,
+        times=None if survey.times is None else mean(survey.times),
+        orientations=turned,
+    )
+
+
+def steps_of(positions: Points, step: float) -> Indices:
+    """Number of the step of the way in which each sample was taken: (n,) int, not decreasing.
+
+    Distance is counted from where the current step began, as the crow flies: the jitter of poses while standing
+    still does not add up to a walk.
+    """
+    number = np.zeros(len(positions), dtype=np.int64)
+    origin, current = positions[0], 0
+    for i, p in enumerate(positions):
+        if (p - origin) @ (p - origin) >= step * step:
+            origin, current = p, current + 1
+        number[i] = current
+    return number
