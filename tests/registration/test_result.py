@@ -39,7 +39,10 @@ def accepted(seed=0, **changes):
         "covariance": factor @ factor.T,
         "probability": 0.1 + 0.2,
         "overlap": 1 / 3,
-        "alternatives": (Alternative(random_transform(rng), 0.25), Alternative(random_transform(rng))),
+        "alternatives": (
+            Alternative(random_transform(rng), 0.25, sd=(0.01, 0.2)),
+            Alternative(random_transform(rng)),
+        ),
         "degenerate_directions": (
             DegenerateDirection(np.array([0.0, -0.0, 0.6, 0.8, 0.0, 0.0]), "sliding along base x"),
         ),
@@ -87,7 +90,7 @@ def test_file_has_the_keys_of_the_interface_in_order(saved):
     assert document["schema"] == "magmatch.registration/1"
     assert np.shape(document["T_base_target"]) == (4, 4)
     assert np.shape(document["covariance"]) == (6, 6)
-    assert set(document["alternatives"][0]) == {"T_base_target", "probability", "log_odds"}
+    assert set(document["alternatives"][0]) == {"T_base_target", "probability", "log_odds", "sd"}
     assert len(document["degenerate_directions"][0]["xi"]) == 6
 
 

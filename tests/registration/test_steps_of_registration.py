@@ -200,3 +200,13 @@ def test_a_duplicated_sample_adds_next_to_nothing(seed):
         assert result.evidence["effective"] < 1.05 * once.evidence["effective"]
         distance = np.linalg.norm(result.T_base_target.translation - once.T_base_target.translation)
         assert distance < 0.02
+
+
+def test_a_refusal_for_accuracy_alone_states_the_pose_and_how_well_it_is_known():
+    result = decided(
+        [shifted(0.0)], strategy=HandMadeStrategy(settled_covariance=np.diag([0.2**2] * 3 + [0.9**2] * 3))
+    )
+    assert result.status is Status.DEGENERATE
+    assert result.alternatives[0].sd == pytest.approx((0.2, 0.9))
+    unknown = decided([replace(shifted(0.0), covariance=None, log_evidence=1.0)])
+    assert unknown.alternatives[0].sd is None

@@ -105,6 +105,8 @@ class Alternative:
     # Name of the map, if the base was a folder and the pose is in another map than the result's
     base: str | None = None
     log_odds: Number | None = None  # nats
+    # In the worst direction, where the target lies: of rotation (rad) and position (m); None where not stated
+    sd: tuple[Length, Length] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,10 +28,12 @@ def state_answer(
     stated; ``max_sd`` (m, rad) are the largest standard deviations asked for.
     """
     best, is_accepted = posterior.poses[0], verdict.status is Status.ACCEPTED
+    shift, turn = estimate.worst_sd
+    sds = [(turn, shift) if np.isfinite([turn, shift]).all() else None] + [None] * (len(poses) - 1)
     first, *others = (
-        Alternative(T, probability, log_odds=h.log_evidence)
-        for T, probability, h in zip(
-            [estimate.T_base_target, *poses[1:]], posterior.probabilities, posterior.poses, strict=True
+        Alternative(T, probability, log_odds=h.log_evidence, sd=sd)
+        for T, probability, h, sd in zip(
+            [estimate.T_base_target, *poses[1:]], posterior.probabilities, posterior.poses, sds, strict=True
         )
     )
     return RegistrationResult(
