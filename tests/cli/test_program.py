@@ -25,6 +25,12 @@ def test_help_of_a_command_has_examples(name, run):
     assert f"  magmatch {name} " in outcome.out or f"  magmatch {name}\n" in outcome.out
 
 
+def test_a_placeholder_in_the_help_keeps_its_capitals(run):
+    shown = run("map", "--help").out
+    assert "LATITUDE,LONGITUDE" in shown
+    assert "lATITUDE" not in shown
+
+
 def test_help_names_every_command_and_exit_code(run):
     outcome = run("--help")
     assert outcome.code == 0

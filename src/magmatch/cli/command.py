@@ -116,7 +116,9 @@ def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tu
         for name, field in SurveyFormat.model_fields.items():
             flag = flag_of(survey, name)
             what = str(field.description)
-            words = f"The same for {survey.upper()} alone." if survey else f"{reads}: {what[0].lower()}{what[1:]}"
+            # A placeholder keeps its capitals.
+            first = what[0] if what[1:2].isupper() else what[0].lower()
+            words = f"The same for {survey.upper()} alone." if survey else f"{reads}: {first}{what[1:]}"
             option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
             kind: Any = field.annotation
             parameters[prefix + name] = ((survey, name), Annotated[kind | None, option])
