@@ -59,3 +59,16 @@ def test_script_that_fails_is_an_error(tmp_path):
     script.write_text("raise SystemExit(1)")
     with pytest.raises(Exception, match="non-zero exit status"):
         alone(str(script))
+
+
+def test_rows_that_do_not_say_their_name_are_found_again(tmp_path):
+    made = []
+
+    def make(name):
+        made.append(name)
+        return {"value": 2.0}
+
+    for names in (["a 1"], ["a 1", "a 2"]):
+        rows = kept(tmp_path / "rows.jsonl", names, make)
+    assert made == ["a 1", "a 2"]
+    assert [rows[name]["value"] for name in ("a 1", "a 2")] == [2.0, 2.0]

@@ -107,7 +107,7 @@ def kept(
     todo = takewhile(lambda _: time.monotonic() < end, [name for name in wanted if name not in known])
     with path.open("a") as stream:
         for name, row in run_all(make, todo, jobs):
-            known[name] = row | {"commit": commit}
+            known[name] = {"name": name} | row | {"commit": commit}
             stream.write(json.dumps(known[name]) + "\n")
             stream.flush()
     return {name: known[name] for name in wanted if name in known}
