@@ -63,6 +63,11 @@ class Piece(NamedTuple):
     rows: Indices
     share: Scalars
 
+    @classmethod
+    def whole(cls, fit: Fit, points: Points) -> "Piece":
+        """The one piece of a field that is not blended."""
+        return cls(fit, np.arange(len(points)), np.ones(len(points)))
+
 
 class FieldPosterior(Protocol):
     """A fitted field, in the model's frame."""

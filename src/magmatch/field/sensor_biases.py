@@ -86,7 +86,7 @@ def without_bias(survey: Survey, bias: Vector3) -> Survey:
 
 
 def no_biases(n_logs: int, spread: float = 0.0) -> SensorBiases:
-    """Of logs whose sensors have none."""
+    """Give logs whose sensors have none their biases: zero."""
     return SensorBiases(np.zeros((n_logs, 3)), np.zeros((n_logs, 3)), spread)
 
 

@@ -217,10 +217,10 @@ class InducingPosterior:
 
     def pieces(self, points: Points) -> list[Piece]:
         """One."""
-        return [Piece(self, np.arange(len(points)), np.ones(len(points)))]
+        return [Piece.whole(self, points)]
 
     def loads(self, points: Points, fields: np.ndarray) -> Matrix:
-        """Of the whitened weights, in units of the noise: (m, k)."""
+        """Loads of the whitened weights, in units of the noise: (m, k)."""
         by_component = np.swapaxes(fields, 0, 1).reshape(3 * len(points), -1)
         return np.asarray(self.model.features(points, 0) @ by_component)
 

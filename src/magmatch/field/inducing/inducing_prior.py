@@ -15,6 +15,7 @@ from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.kernels import Kernel, Term
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 
@@ -30,9 +31,6 @@ _AFFORDABLE_WIDENING = 1.3
 SPACING_RATIO, MIN_SPACING_RATIO = 0.7, 0.5
 # How far beyond the samples inducing points lie, and how near to a sample the field counts as known, in lengthscales.
 _REACH_RATIO, _KNOWN_RATIO = 1.0, 0.75
-# Prior standard deviation of the constant field, T: broad against the Earth's 25 to 65 uT. A zero-mean field of that
-# size would otherwise dictate lengthscale and signal.
-CONSTANT_SD = 1e-4
 # Added to the diagonal of the inducing points' covariance, relative to the variance of one component.
 JITTER = 1e-9
 # Samples for choosing the hyperparameters.

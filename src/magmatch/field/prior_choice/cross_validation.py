@@ -76,7 +76,7 @@ def compare_on_the_rest(candidates: list[PriorCandidate], samples: Survey, folds
 
 
 def _thinned(samples: Survey, folds: Folds, left_out: tuple[Mask, ...]) -> tuple[Survey, list[Mask], Indices]:
-    """As many samples as a comparison uses, which of them to leave out at a time, and their parts."""
+    """Take as many samples as a comparison uses, which of them to leave out at a time, and their parts."""
     some = np.arange(0, len(samples), -(-len(samples) // N_COMPARED))
     return samples.subset(some), [fold[some] for fold in left_out], folds.part[some]
 

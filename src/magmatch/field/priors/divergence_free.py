@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published prior: a divergence-free Gaussian process over inducing points on a grid, plus a constant field."""
 
-from magmatch.field.inducing.inducing_prior import CONSTANT_SD, InducingPrior
+from magmatch.field.inducing.inducing_prior import InducingPrior
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 
 # Three weights each: more take minutes.
 MAX_INDUCING_POINTS = 1200

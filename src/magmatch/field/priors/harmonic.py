@@ -15,10 +15,11 @@ from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.inducing_model import InducingModel, independent_prior
-from magmatch.field.inducing.inducing_prior import CONSTANT_SD, MIN_SAMPLES, MOST_SAMPLES
+from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
 from magmatch.field.inducing.kernels import CurlFreeKernel
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, walk_uphill
 from magmatch.field.linear_model import check_samples
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 

@@ -197,7 +197,7 @@ class SplinePosterior:
 
     def pieces(self, points: Points) -> list[Piece]:
         """One."""
-        return [Piece(self, np.arange(len(points)), np.ones(len(points)))]
+        return [Piece.whole(self, points)]
 
     def loads(self, points: Points, fields: np.ndarray) -> Matrix:
         """Sums ``Phi^T b`` of fields, (m + 3, k)."""

@@ -7,7 +7,8 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.element_matrices import lone_cell_covariance, prior_element
 from magmatch.field.spline.spline_basis import GRADIENT_INDEX
 
-# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset.
+# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset. A
+# zero-mean field of that size would otherwise dictate lengthscale and signal.
 CONSTANT_SD = 1e-4
 # Finer spacings than this share of the lengthscale change nothing but rounding errors.
 HIGHEST_RELATIVE_LENGTHSCALE = 12.0
