@@ -81,10 +81,8 @@ def localize(
             refuse("--odometry-sd", "metres,degrees, both above 0, such as 0.3,4", odometry_sd)
         switches["odometry"] = settings.odometry.model_copy(update={"sd": sd})
     settings = settings.model_copy(update=switches)
-    opened, known = (
-        open_walk(log, layouts.of(), with_points=False),
-        open_place(place),
-    )  # both before a log is dead reckoned
+    # Both before a log is dead reckoned.
+    opened, known = open_walk(log, layouts.of(), with_points=False), open_place(place)
     if opened.given is None and odometry_sd is None and settings.odometry == LocalizerConfig().odometry:
         drift = settings.odometry.model_copy(update={"sd": DEAD_RECKONING_SD})
         settings = settings.model_copy(update={"odometry": drift})

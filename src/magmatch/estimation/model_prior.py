@@ -5,8 +5,6 @@ All free numbers of a model are integrated out, so a freer model pays for them b
 is for errors that the likelihood does not know: it takes the errors of maps as independent from cell to cell.
 """
 
-from typing import Any
-
 import numpy as np
 
 from magmatch.typing import Scalars
@@ -27,11 +25,3 @@ def overlap_weight(share: Scalars | float) -> Scalars:
     the square of the share, proportional to the number of pairs of samples in common.
     """
     return np.asarray(2 * np.log(share))
-
-
-def path_weight(price: float, path: float, share: Any) -> Any:
-    """Log prior weight of poses of which each explains a share of a path (in correlation lengths).
-
-    There are many ways out of a base map, and wrong poses tend to lie at its border, where a few bins fit.
-    """
-    return -price * path * (1 - share)

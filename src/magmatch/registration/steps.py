@@ -3,11 +3,12 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.hypothesis import Hypothesis
 from magmatch.estimation.posterior import Answer, posterior_of
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
@@ -138,15 +139,15 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
         return RegistrationResult(NO_POSE.status, NO_POSE.reason, None, n_keypoints=found.n_keypoints)
     with clock("settle"):
         best, *others = sorted(answers, key=lambda answer: -answer.log_odds)
-        best, bends = _that_bend(by, pair, best)
+        best, bent = _that_bend(by, pair, best)
         posterior = posterior_of([best, *others], config.prior_odds, weighed.elsewhere)
         is_probable = posterior.best >= config.min_probability
-        estimate, support = _state(by.settle if is_probable else by.state, pair, posterior.answers[0], bends, config)
+        estimate, support = _state(by.settle if is_probable else by.state, pair, posterior.answers[0], bent, config)
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
-        bend = bends.get(id(posterior.poses[0])) if posterior.answers[0].effective > 0 else None
-        if bend is not None and bend.probability >= config.min_probability:
-            parts = (verdict.reason, str(bend))
+        is_bent = bent is not None and posterior.poses[0] is bent.pose and posterior.answers[0].effective > 0
+        if bent is not None and is_bent and bent.bend.probability >= config.min_probability:
+            parts = (verdict.reason, str(bent.bend))
             # What drift leaves uncertain is no fault of where was surveyed.
             verdict = replace(verdict, reason="; ".join(parts[:: 1 if verdict.status is Status.ACCEPTED else -1]))
         poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
@@ -154,23 +155,30 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
         return replace(answer, n_keypoints=found.n_keypoints, n_correspondences=found.n_correspondences)
 
 
+class _Bent(NamedTuple):
+    """The hypothesis of a target that bends, and how."""
+
+    pose: Hypothesis
+    bend: Bend
+
+
 def _that_bend(
     by: Strategy[Any, Any, Any], pair: Pair[Any, Any], answer: Answer[Any]
-) -> tuple[Answer[Any], dict[int, Bend]]:
-    """Join the model of a target that bends to an answer; its hypothesis by its id."""
+) -> tuple[Answer[Any], _Bent | None]:
+    """Join the model of a target that bends to an answer."""
     for pose in answer.hypotheses:
         if (bend := by.bend(pair, pose)) is not None:
             rigid, bent = bend.among(pose)
             others = (one for one in answer.hypotheses if one is not pose)
-            return Answer.of([*others, rigid, bent]), {id(bent): bend}
-    return answer, {}
+            return Answer.of([*others, rigid, bent]), _Bent(bent, bend)
+    return answer, None
 
 
 def _state(
     state: Callable[[Pair[Any, Any], Any], tuple[Estimate, Support]],
     pair: Pair[Any, Any],
     answer: Answer[Any],
-    bends: dict[int, Bend],
+    bent: _Bent | None,
     config: DecisionConfig,
 ) -> tuple[Estimate, Support]:
     """State the most probable hypothesis of an answer, with the moments of all that are not improbable."""
@@ -179,8 +187,8 @@ def _state(
         if shares and share <= 1 - config.min_probability:
             break
         estimate, support = state(pair, pose)
-        if (bend := bends.get(id(pose))) is not None:
-            estimate = estimate.with_spread(bend.seen_from(pair.T_target_model).spread(estimate.center))
+        if bent is not None and pose is bent.pose:
+            estimate = estimate.with_spread(bent.bend.seen_from(pair.T_target_model).spread(estimate.center))
         shares.append(share)
         estimates.append(estimate)
         supports.append(support)

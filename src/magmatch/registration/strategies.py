@@ -17,7 +17,7 @@ from magmatch.registration.walk_strategy import WalkStrategy
 def strategies(
     length: float, target: Survey | FieldMap, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
 ) -> Iterator[Strategy[Any, Any, Any]]:
-    """As a walk if the samples are a line, short in the base's correlation lengths; otherwise, or next, as a map.
+    """Compare as a walk if samples are a line, short in the base's correlation lengths; otherwise, or next, as a map.
 
     A long line that turns and crosses itself may cover an area, so it is tried as a map first and as a walk next.
     The target is mapped only when that strategy is used.

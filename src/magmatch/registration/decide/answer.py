@@ -2,6 +2,7 @@
 """From a decision to the result in the surveys' own frames."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -28,14 +29,15 @@ def state_answer(
     stated; ``max_sd`` (m, rad) are the largest standard deviations asked for.
     """
     best, is_accepted = posterior.poses[0], verdict.status is Status.ACCEPTED
-    shift, turn = estimate.worst_sd
-    sds = [(turn, shift) if np.isfinite([turn, shift]).all() else None] + [None] * (len(poses) - 1)
     first, *others = (
-        Alternative(T, probability, log_odds=h.log_evidence, sd=sd)
-        for T, probability, h, sd in zip(
-            [estimate.T_base_target, *poses[1:]], posterior.probabilities, posterior.poses, sds, strict=True
+        Alternative(T, probability, log_odds=h.log_evidence)
+        for T, probability, h in zip(
+            [estimate.T_base_target, *poses[1:]], posterior.probabilities, posterior.poses, strict=True
         )
     )
+    shift, turn = estimate.worst_sd
+    if np.isfinite([turn, shift]).all():
+        first = replace(first, sd=(turn, shift))
     return RegistrationResult(
         status=verdict.status,
         reason=verdict.reason,

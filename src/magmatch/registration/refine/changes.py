@@ -49,8 +49,7 @@ class ChangeConfig(Settings):
     """When and how a pose is estimated together with moved sources."""
 
     is_enabled: bool = True
-    # Misfit of the best pose's cells above which something may have moved, and below which a change must bring it;
-    # right poses without changes stay below it.
+    # Misfit of the best pose's cells above which something may have moved: right poses without changes stay below it.
     max_misfit: float = Field(default=2.0, ge=0)
     # Poses that are tried.
     n_candidates: int = Field(default=2, ge=1)

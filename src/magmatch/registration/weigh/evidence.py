@@ -105,7 +105,8 @@ def weigh_pose(
     covariance = None if joint is None else joint[:6, :6]
     overlap = float(seen.is_known.mean())
     if not len(seen.rows):
-        return PoseEvidence(pose, covariance, overlap, 0, 0, -np.inf, -np.inf, -np.inf, np.inf, np.inf)
+        nothing = (0, 0, -np.inf, -np.inf, -np.inf, np.inf, np.inf)
+        return PoseEvidence(pose, covariance, overlap, *nothing, model=_model(pose, change))
 
     rows = seen.rows if change is None else change.rows
     sides = [(null_model, seen, rows)]
@@ -138,8 +139,13 @@ def weigh_pose(
         float(np.sqrt(np.median(sample_chi2) / MEDIAN_CHI2_3)),
         max(side.misfit(null, r) for null, side, r in sides),
         change,
-        "rigid" if change is None else "rigid, changed",
+        _model(pose, change),
     )
+
+
+def _model(pose: RefinedPose, change: Change | None) -> str:
+    sensors = f", sensors {pose.log_prior:g}" if pose.log_prior else ""
+    return f"rigid{'' if change is None else ', changed'}{sensors}"
 
 
 def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:

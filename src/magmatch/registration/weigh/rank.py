@@ -2,7 +2,6 @@
 """From candidates to weighed poses: refine the best few, let the sensors differ, look for changes, finish."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -38,8 +37,7 @@ def rank_poses(
 
     def weigh(start: RigidTransform | RefinedPose, settings: RefinementConfig, level: int) -> PoseEvidence:
         pose = refine(base, target, start, prior, settings, np.random.default_rng(seed), level)
-        weighed = weigh_pose(base, target, pose, nulls, prior)
-        return replace(weighed, model=f"{weighed.model}, sensors {pose.log_prior:g}") if pose.log_prior else weighed
+        return weigh_pose(base, target, pose, nulls, prior)
 
     n_first = len(starts) if is_unordered else refinement.n_candidates
     ranked = _rank_candidates(starts, n_first, weigh, refinement)
