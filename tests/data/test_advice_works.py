@@ -115,10 +115,8 @@ READ_AS_THEY_ARE = {
 }
 
 
-@pytest.mark.parametrize("size", [1, 1 << 20])
 @pytest.mark.parametrize("case", READ_AS_THEY_ARE)
-def test_what_spreadsheets_write_is_read(case, size, tmp_path, monkeypatch):
-    monkeypatch.setattr("magmatch.data.tables.table.CHUNK_ROWS", size)
+def test_what_spreadsheets_write_is_read(case, tmp_path):
     (tmp_path / "s.csv").write_text(READ_AS_THEY_ARE[case])
     survey = read_survey(tmp_path / "s.csv", SurveyFormat(field_unit="uT"))
     np.testing.assert_allclose(survey.field, NUMBERS[:, 4:] * 1e-6, rtol=1e-14)

@@ -172,20 +172,6 @@ def test_bad_file_is_refused_in_one_line_that_names_the_place(name, tmp_path):
         assert fragment in message
 
 
-@pytest.mark.parametrize("size", [1, 3, 7])
-def test_faults_are_named_alike_wherever_a_piece_of_the_file_ends(size, tmp_path, monkeypatch):
-    """Long files are read in pieces; here each row may be one."""
-    for name, (content, _) in TABLE_CASES.items():
-        path = write(tmp_path / "survey.csv", content)
-        messages = []
-        for block in (1 << 20, size):
-            monkeypatch.setattr("magmatch.data.tables.table.CHUNK_ROWS", block)
-            with pytest.raises(DataFormatError) as caught:
-                read_survey(path)
-            messages.append(str(caught.value))
-        assert messages[0] == messages[1], name
-
-
 def test_sqlite_is_named(tmp_path):
     path = tmp_path / "bag.db3"
     connection = sqlite3.connect(path)

@@ -24,6 +24,7 @@ from magmatch.arguments import (
     require_increasing,
     rows_chosen,
 )
+from magmatch.data.dataframes import frame_of_xarray, table_of_frame
 from magmatch.data.survey_columns import (
     COLUMNS,
     DEFAULT_FRAME,
@@ -33,10 +34,8 @@ from magmatch.data.survey_columns import (
     FieldFrame,
     stated_columns,
     survey_arguments,
-    survey_table,
 )
 from magmatch.data.surveyed_points import SurveyedPoints
-from magmatch.data.tables.frames import frame_of_xarray
 from magmatch.data.tables.quaternions import QUATERNION
 from magmatch.data.tables.table import Table, Wanted, read_table, write_table
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit, field_text
@@ -213,7 +212,7 @@ class Survey:
 
         An existing file is replaced only once the new one is complete.
         """
-        write_table(path, *stated_columns(self.columns(), len(self), self.frame, self.pose_sd))
+        write_table(path, stated_columns(self.columns(), len(self), self.frame, self.pose_sd))
 
     @classmethod
     def load(cls, path: str | Path) -> "Survey":
@@ -225,7 +224,7 @@ class Survey:
             With line and column wherever one is at fault.
         """
         expect_path(path)
-        return cls.from_table(read_table(path, Wanted(COLUMNS, texts=(FRAME_COLUMN,))))
+        return cls.from_table(read_table(path, Wanted(COLUMNS, words=(FRAME_COLUMN,))))
 
     @classmethod
     def from_dataframe(
@@ -275,7 +274,7 @@ class Survey:
             msg = f"expected keywords of {', '.join(Stated.__annotations__)}; got {', '.join(unknown)}"
             raise TypeError(msg)
         name, pose_sd = stated.get("name", "DataFrame"), stated.get("pose_sd")
-        table = survey_table(df, name, time_unit, columns or {})
+        table = table_of_frame(df, name, time_unit, columns or {})
         axes, origin = stated.get("field_frame", "survey"), stated.get("origin")
         survey = cls.from_table(table, field_unit, length_unit, axes, origin)
         frame, pose_sd = stated.get("frame") or survey.frame, survey.pose_sd if pose_sd is None else pose_sd

@@ -13,7 +13,6 @@ import numpy as np
 
 from magmatch.arguments import found
 from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, what_is_wrong
-from magmatch.data.tables.frames import table_of_frame
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import plain_text
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
@@ -22,10 +21,8 @@ from magmatch.data.tables.text_rows import require_stated
 from magmatch.data.units import (
     METRE_PER_UNIT,
     TESLA_PER_UNIT,
-    UNITS_PER_SECOND,
     FieldUnit,
     LengthUnit,
-    TimeUnit,
     size_of_unit,
 )
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -62,11 +59,8 @@ class ChosenColumns:
 
     def of(self, table: Table) -> Table:
         """Return the table with our names, and the constants as columns."""
-        return self.with_constants(table.renamed(self.ours))
-
-    def with_constants(self, table: Table) -> Table:
-        """Return a table that has our names with the constants as columns."""
-        return replace(table, columns=table.columns | {k: np.full(len(table), v) for k, v in self.constants.items()})
+        constants = {ours: np.full(len(table), value) for ours, value in self.constants.items()}
+        return replace(table, columns=table.renamed(self.ours).columns | constants)
 
 
 def choose_columns(
@@ -194,36 +188,25 @@ def origin_of(frame: str) -> str | None:
     return frame.removeprefix(GLOBAL_FRAME) if frame.startswith(GLOBAL_FRAME) else None
 
 
-def survey_table(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
-    """Table of a DataFrame's columns (``theirs``: {ours: theirs}), times in s."""
-    per_second = size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
-    table = table_of_frame(
-        df,
-        name,
-        (*COLUMNS, *GLOBAL_COLUMNS),
-        theirs,
-        lambda *given: choose_columns(name, *given),
-        per_second,
-        texts=(FRAME_COLUMN,),
-    )
-    warn_of_unused_times(table)
-    return table
-
-
-def stated_columns(
-    columns: dict[str, Scalars], n: int, frame: str, pose_sd: float
-) -> tuple[dict[str, Scalars], dict[str, str]]:
-    """Columns of a file, and those of words: frame and accuracy of n samples where they are not the defaults."""
+def stated_columns(columns: dict[str, Scalars], n: int, frame: str, pose_sd: float) -> dict[str, Scalars | list[str]]:
+    """Columns of a file, with frame and accuracy of n samples where they are not the defaults."""
+    stated: dict[str, Scalars | list[str]] = {**columns}
     if pose_sd:
-        columns = columns | {ACCURACY_COLUMN: np.full(n, pose_sd)}
-    plain = frame.isprintable() and frame == frame.strip() and frame[:1] not in ('"', "")
-    return columns, {} if frame == DEFAULT_FRAME else {FRAME_COLUMN: frame if plain else json.dumps(frame)}
+        stated[ACCURACY_COLUMN] = np.full(n, pose_sd)
+    if frame != DEFAULT_FRAME:
+        plain = frame.isprintable() and frame == frame.strip() and frame[:1] not in ('"', "")
+        stated[FRAME_COLUMN] = [frame if plain else json.dumps(frame)] * n
+    return stated
 
 
 def _about(table: Table) -> dict[str, Any]:
     """Frame and accuracy, where the file was written by `Survey.save`."""
     text = next((c.removeprefix(SCHEMA) for c in table.comments if c.startswith(SCHEMA)), "{}")
-    named = table.texts.get(FRAME_COLUMN, "")
+    named = ""
+    for line, word in zip(table.line_numbers.tolist(), table.words.get(FRAME_COLUMN, ()), strict=False):
+        if word and (named := named or word) != word:
+            message = f"found {word[:40]!r} below {named[:40]!r}; a file holds one survey: split it"
+            raise DataFormatError(table.path, message, line=line, column=FRAME_COLUMN)
     try:
         about = json.loads(text)
         frame = named or str(about.get("frame", DEFAULT_FRAME))

@@ -207,7 +207,7 @@ def test_a_table_is_read_as_it_stands(tmp_path):
     ("text", "said"),
     [
         ("", "is empty"),
-        ("log,t,x,y,z,sd\n", "found none"),
+        ("log,t,x,y,z,sd\n", "no samples"),
         ("log,t,x,y,z\na,0,0,0,0\n", "missing sd"),
         ("log,t,x,y,z,sd\na,0,0,0,0,0\n", "line 2, column 'sd': expected a standard deviation above 0"),
         ("log,t,x,y,z,sd\na,0,0,0,0,-1\n", "above 0"),

@@ -5,16 +5,17 @@ import json
 import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from magmatch.atomic import atomic_write
+from magmatch.data.dataframes import NO_ROW_NUMBER
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, choose_columns
-from magmatch.data.tables.frames import NO_ROW_NUMBER
 from magmatch.data.tables.gzipped import plain_file
 from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
@@ -31,9 +32,9 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
     with _opened(path) as (file, pa):
         names = [str(name) for name in file.schema_arrow.names]
         chosen = choose_columns(path, names, layout.stated_columns(), has_poses=layout.trajectory is None)
+        if "t" not in chosen.ours.values():
+            chosen = replace(chosen, ours={**chosen.ours, **_index_of_dates(Path(path), file, pa)})
         wanted = {name: chosen.ours[name.lower()] for name in names if name.lower() in chosen.ours}
-        if "t" not in wanted.values():
-            wanted |= _index_of_dates(Path(path), file, pa)
         for name in wanted:
             _require_numbers(Path(path), name, file.schema_arrow.field(name).type, pa)
         clock = next((name for name, ours in wanted.items() if ours == "t"), None)
@@ -41,9 +42,8 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
     n_rows = len(next(iter(found.values()), ()))
-    columns = {wanted[name]: values for name, values in found.items()}
-    table = Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments)
-    return chosen.with_constants(table)
+    columns = {name.lower(): values for name, values in found.items()}
+    return chosen.of(Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments))
 
 
 def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:

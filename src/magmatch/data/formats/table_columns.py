@@ -33,7 +33,7 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
 
     wanted = Wanted(
         (*stated.values(), *COLUMNS),
-        texts=(FRAME_COLUMN,),
+        words=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
         decimal=layout.decimal or "",

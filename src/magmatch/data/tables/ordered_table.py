@@ -8,7 +8,7 @@ from magmatch.data.tables.header_names import Header, header_of, length_unit_of,
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.text_rows import listed, rows_of, split_header
+from magmatch.data.tables.text_rows import listed, rows_of
 from magmatch.data.units import DIGITS_OF_SECOND, LengthUnit, TimeUnit
 from magmatch.errors import DataFormatError
 
@@ -33,9 +33,7 @@ def read_ordered(
     if not rows.at:
         return read_table(path, Wanted(order, order), lines), time_unit  # which says what is wrong
     line = rows.at[0] + 1
-    cells = [cell.strip().strip("'\"") for cell in split_header(lines[rows.at[0]], rows.delimiter)]
-    while cells and not cells[-1]:
-        cells.pop()
+    cells = rows.header()
     is_header_row = not any(map(is_number, cells))
     header: Header | None
     if is_header_row:

@@ -13,18 +13,8 @@ from magmatch.compiled import NOTICE
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
 from magmatch.data.surveyed_points import SurveyedPoints
-from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.text_rows import (
-    advice_on_comments,
-    cells_of,
-    decimal_of_cells,
-    listed,
-    names_of,
-    put_seconds,
-    rows_of,
-    split_row,
-)
-from magmatch.data.tables.text_rows import numbers_of as numbers_in
+from magmatch.data.tables.table import Wanted, read_table
+from magmatch.data.tables.text_rows import listed
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.number_text import told
 from magmatch.slam.graph.factors import FixedPoints
@@ -100,35 +90,24 @@ def read_anchors(path: str | FilePath) -> list[Anchor]:
     DataFormatError
         The file is no such table; the message says line and column.
     """
-    rows = rows_of(path, text_lines(path))
-    if len(rows.at) < 2:
-        raise DataFormatError(path, f"expected a header row ({','.join(COLUMNS)}) and fixed points below, found none")
-    (first, *at), mark, comments = rows.at, rows.delimiter, rows.comments
-    names = names_of(path, split_row(rows.lines[first], mark), first + 1, COLUMNS, comments)
-    in_degrees = not set(DEGREES) <= set(names) and set(DEGREES.values()) <= set(names)
-    stands_for = DEGREES if in_degrees else {}
-    missing = [name for name in COLUMNS if stands_for.get(name, name) not in names]
+    table = read_table(path, Wanted((*NUMBERS, *DEGREES.values()), words=("log",)))
+    in_degrees = not table.has(*DEGREES) and table.has(*DEGREES.values())
+    names = [DEGREES.get(name, name) if in_degrees else name for name in NUMBERS]
+    missing = [name for name in ("log", *names) if name not in table.names]
     if missing:
         columns = f"{', '.join(COLUMNS)} (or {', '.join(DEGREES.values())} for x, y)"
-        message = f"expected columns {columns}; missing {', '.join(missing)}; found {listed(names)}"
-        raise DataFormatError(path, message + advice_on_comments(comments, len(names)), line=first + 1)
-    cells = cells_of(path, [rows.lines[i] for i in at], at, mark, names, is_last=True)
-    wanted = {name: names.index(stands_for.get(name, name)) for name in NUMBERS}
-    picked = ((i + 1, [row[k] for k in wanted.values()]) for i, row in zip(at, cells, strict=True))
-    decimal = decimal_of_cells(path, picked, [stands_for.get(name, name) for name in NUMBERS])
-    put_seconds(cells, wanted["t"], decimal)
-    numbers = numbers_in(path, at, cells, wanted, decimal)
-    for i, (_, x, y, _, sd) in zip(at, numbers, strict=True):
+        message = f"expected columns {columns}; missing {', '.join(missing)}; found {listed(table.names)}"
+        raise DataFormatError(path, message)
+    numbers, lines = table.stack(*names), table.line_numbers.tolist()
+    for line, (_, x, y, _, sd) in zip(lines, numbers, strict=True):
         if in_degrees and (wrong := what_is_wrong(np.array([x]), np.array([y]))):
-            raise DataFormatError(path, wrong, line=i + 1)
+            raise DataFormatError(path, wrong, line=line)
         if sd <= 0:
-            raise DataFormatError(
-                path, f"expected a standard deviation above 0 m, found {told(sd)}", line=i + 1, column="sd"
-            )
-    logs = [row[names.index("log")].strip() for row in cells]
+            message = f"expected a standard deviation above 0 m, found {told(sd)}"
+            raise DataFormatError(path, message, line=line, column="sd")
     return [
-        Anchor(log, float(n[0]), n[1:4], float(n[4]), f"{path}, line {i + 1}", in_degrees)
-        for i, log, n in zip(at, logs, numbers, strict=True)
+        Anchor(log, float(n[0]), n[1:4], float(n[4]), f"{path}, line {line}", in_degrees)
+        for line, log, n in zip(lines, table.words["log"], numbers, strict=True)
     ]
 
 

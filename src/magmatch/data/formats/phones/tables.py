@@ -10,9 +10,10 @@ import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, WORDS, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import read_tagged
+from magmatch.data.tables.numbers import decimal_of_cells
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.text_rows import Rows, decimal_of_cells, listed, rows_of, split_row
+from magmatch.data.tables.text_rows import Rows, listed, rows_of
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -189,7 +190,7 @@ def _tagged(
     (axes,) = columns.sensors.values()
     kinds, k = (columns.time, *axes), names.index(columns.tag)
     used = [names.index(name) for name in kinds]
-    cells = {i + 1: split_row(rows.lines[i], rows.delimiter) for i in rows.at[1:]}
+    cells = dict(list(rows.cells())[1:])
     picked = {i: [row[k] if k < len(row) else "" for k in used] for i, row in cells.items()}
     decimal = decimal_of_cells(place, picked.items(), kinds)
     named = ((i, sensor_named(row[k]) if k < len(row) else None) for i, row in cells.items())

@@ -5,8 +5,10 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from magmatch.data.tables.number_marks import Decimal
-from magmatch.data.tables.table import Wanted, read_table
+from magmatch.data.tables.numbers import NumberReader, decimal_of_cells
 from magmatch.typing import Indices, Matrix
 
 # A row: the line it stands on, counted from 1, its sensor, and a cell for each of the names.
@@ -30,14 +32,14 @@ def read_tagged(
     Times count units of 10**-digits s. `decimal` counts where the numbers leave their decimal mark in doubt. A faulty
     row is named, or left out and counted where recovering.
     """
-    held = list(rows)
+    held = [(line, [tag, *cells]) for line, tag, cells in rows]
     if not held:
         return {}
-    tags = list(dict.fromkeys(tag for _, tag, _ in held))
-    lines = ["\t".join([str(tags.index(tag)), *cells]) for _, tag, cells in held]
-    columns = ("sensor", *names)
-    wanted = Wanted(columns, columns, "\t", decimal=decimal, digits={names[0]: digits}, recover=recover)
-    table = read_table(path, wanted, lines, [number - 1 for number, _, _ in held])
-    block = table.stack(*names)
-    of = {tag: table.columns["sensor"] == k for k, tag in enumerate(tags)}
-    return {tag: (block[here], table.line_numbers[here]) for tag, here in of.items() if here.any()}
+    mark = decimal_of_cells(path, ((line, cells[1:]) for line, cells in held), names, decimal)
+    places = {name: k for k, name in enumerate(names, start=1)}
+    reader = NumberReader(
+        path, ("sensor", *names), places, mark, {names[0]: digits}, words={"sensor": 0}, recover=recover
+    )
+    block, lines, words = reader.read(held)
+    tags = np.array(words["sensor"])
+    return {tag: (block[tags == tag], lines[tags == tag]) for tag in dict.fromkeys(words["sensor"])}

@@ -2,15 +2,23 @@
 """Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
 
 import logging
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from magmatch.arguments import column_of, expect_kind, found, require_finite
+from magmatch.data.survey_columns import (
+    COLUMNS,
+    FRAME_COLUMN,
+    GLOBAL_COLUMNS,
+    choose_columns,
+    warn_of_unused_times,
+)
 from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
+from magmatch.data.units import UNITS_PER_SECOND, TimeUnit, size_of_unit
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
@@ -20,58 +28,34 @@ logger = logging.getLogger(__name__)
 NO_ROW_NUMBER = 1_000_000_000
 
 
-class Chosen(Protocol):
-    """The choice of a table's columns."""
-
-    @property
-    def ours(self) -> Mapping[str, str]:
-        """Our names by the table's (lower case)."""
-
-    def with_constants(self, table: Table) -> Table:
-        """Return a table that has our names with what else is stated."""
-
-
-def table_of_frame(
-    df: Any,
-    name: str,
-    known: Collection[str],
-    theirs: Mapping[str, str],
-    choose: Callable[[Sequence[str], Mapping[str, str]], Chosen],
-    per_second: float,
-    texts: Collection[str] = (),
-) -> Table:
-    """Columns of a DataFrame by our names (``theirs``: {ours: theirs}); rows by position, times in s.
-
-    `choose` finds columns among the names there are, given what is stated; `texts` are columns of words, the same in
-    all rows.
-    """
+def table_of_frame(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
+    """Columns of a survey in a DataFrame (``theirs``: {ours: theirs}); rows by position, times in s."""
+    per_second = size_of_unit(time_unit, UNITS_PER_SECOND, "time_unit")
     expect_kind(name, "name", (str,))
     _expect_names(theirs)
     if not hasattr(df, "columns") or not hasattr(df, "__getitem__"):
         msg = f"df: expected a DataFrame, got {found(df)}; Survey(positions, field) takes arrays"
         raise TypeError(msg)
+    known = (*COLUMNS, *GLOBAL_COLUMNS)
     if unknown := [ours for ours in theirs if ours not in known]:
         msg = f"columns: expected pairs {{ours: theirs}} with ours of {', '.join(known)}, got '{unknown[0]}'"
         raise ConfigurationError(msg)
-    stated = {ours: str(text).lower() for ours, text in theirs.items()}
     # Of pandas: an index that is named as a column is one, such as the times.
     levels = set(getattr(getattr(df, "index", None), "names", ())) - set(df.columns) - {None}
     names = list(dict.fromkeys(str(column) for column in (*df.columns, *levels)))
-    chosen = choose(names, stated)
+    chosen = choose_columns(name, names, {ours: str(text).lower() for ours, text in theirs.items()})
     if any(str(level).lower() in chosen.ours for level in levels):
         df = df.reset_index(allow_duplicates=True)
     there = {str(column).lower(): column for column in df.columns}
-    columns = {ours: _numbers(df[there[key]], ours, name, len(df), per_second) for key, ours in chosen.ours.items()}
-    if "t" not in columns and (times := _times_of_index(df, name)) is not None:
-        columns["t"] = _numbers(times, "t", name, len(df), per_second)
+    columns = {key: _numbers(df[there[key]], ours, name, len(df), per_second) for key, ours in chosen.ours.items()}
+    frames = df[there[FRAME_COLUMN]] if FRAME_COLUMN in there else ()
     # A missing cell equals nothing, not even itself.
-    said = {text: sorted({str(w) for w in df[there[text]] if w == w}) for text in texts if text in there}  # noqa: PLR0124
-    for text, words in said.items():
-        if len(words) > 1:
-            raise DataFormatError(name, f"expected one word in all rows, found {words[:2]}: split it", column=text)
-    one_word = {text: words[0] for text, words in said.items() if words}
-    table = Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), one_word)
-    return chosen.with_constants(table)
+    words = {FRAME_COLUMN: ["" if w is None or w != w else str(w) for w in frames]}  # noqa: PLR0124
+    table = chosen.of(Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), words))
+    if not table.has("t") and (times := _times_of_index(df, name)) is not None:
+        table.columns["t"] = _numbers(times, "t", name, len(df), per_second)
+    warn_of_unused_times(table)
+    return table
 
 
 def _times_of_index(df: Any, name: str) -> Any:
