@@ -132,9 +132,9 @@ def test_a_topic_is_found_with_and_without_its_slash(slash, made, flight, tmp_pa
         assert len(read_survey(path, SurveyFormat(mag_topic=asked + "mag", pose_topic=asked + "p"))) == 300
 
 
-def test_a_mount_is_told_from_motion_across_batches(said, edge, caplog, monkeypatch):
+def test_a_mount_is_told_from_motion_where_few_messages_are_held(said, edge, caplog, monkeypatch):
     """Few messages of each edge are held; a move between two of them, and back, is seen all the same."""
-    monkeypatch.setattr("magmatch.data.logs.log.BATCH", 16)
+    monkeypatch.setattr("magmatch.data.logs.messages.THINNED", 16)
     expected = said(extrinsic=" ".join(map(repr, MAST.tolist())))
     close(said(edge(MAST, "base", "mag_link")), expected)
     once = np.zeros((60, 1)) + 1e-3 * (np.arange(60) == 37)[:, None] * np.eye(7)[1]

@@ -113,7 +113,7 @@ FOLDERS = {
     ),
     "names of another kind": (lambda f: run_sql(f, "UPDATE topics SET name = x'ff'"), "other things than names"),
     "payloads of zeros": (lambda f: run_sql(f, "UPDATE messages SET data = zeroblob(50)"), "message 0: "),
-    "payloads of nothing": (lambda f: run_sql(f, "UPDATE messages SET data = x''"), "where 0 are left"),
+    "payloads of nothing": (lambda f: run_sql(f, "UPDATE messages SET data = x''"), "message 0: is cut off"),
     "another serialisation": (
         lambda f: run_sql(f, "UPDATE topics SET serialization_format = 'xml'"),
         "encoded as 'xml'",

@@ -2,15 +2,15 @@
 """The drift of a log's odometry according to the covariance of its poses, if that is plausible."""
 
 import logging
-from contextlib import closing
+from array import array
+from contextlib import closing, suppress
 from pathlib import Path
 
 import numpy as np
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.logs.decode import decode
-from magmatch.data.logs.log import batches
+from magmatch.data.logs.decode import MalformedError, decode
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.read import list_topics
 from magmatch.data.tables.gzipped import plain_file
@@ -38,17 +38,15 @@ def read_drift(path: str | Path, layout: SurveyFormat | None = None) -> tuple[fl
     topic = next((t for t in topics if t.name == chosen["poses"]), None)
     if topic is None or topic.type != ODOMETRY or topic.encoding == "json":
         return None
-    log_ns, places, covariances = [np.zeros(0, np.int64)], [np.zeros((0, 3))], [np.zeros((0, 36))]
+    stamps, numbers = array("q"), array("d")
     with plain_file(path) as place, closing(open_log(place)) as log:
-        for channel, times, payloads in batches(log.messages({topic.name})):
-            for rows, content in decode(channel, payloads):
-                if isinstance(content, dict):
-                    pose = content["pose"]
-                    log_ns.append(np.array(times, dtype=np.int64)[rows])
-                    places.append(np.column_stack([pose["pose"]["position"][k] for k in "xyz"]).astype(float))
-                    covariances.append(np.asarray(pose["covariance"], dtype=float))
-    order = np.argsort(np.concatenate(log_ns), kind="stable")
-    found = drift(np.concatenate(places)[order], np.concatenate(covariances).reshape(-1, 6, 6)[order])
+        for channel, log_ns, payload in log.messages({topic.name}):
+            with suppress(MalformedError):
+                pose = decode(channel, payload).pose
+                stamps.append(log_ns)
+                numbers.extend([pose.pose.position.x, pose.pose.position.y, pose.pose.position.z, *pose.covariance])
+    rows = np.array(numbers).reshape(-1, 39)[np.argsort(stamps, kind="stable")]
+    found = drift(rows[:, :3], rows[:, 3:].reshape(-1, 6, 6))
     if found is not None:
         logger.info("%s: its odometry states a drift of %.2g m and %.2g degrees in 10 m", path, *found)
     return found

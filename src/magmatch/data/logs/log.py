@@ -6,9 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-# Messages decoded together, and their bytes: enough for array arithmetic, little to hold.
-BATCH, BATCH_BYTES = 8192, 8 << 20
-
 
 class Channel(NamedTuple):
     """Topic, type and encoding of some messages; the type is spelled as in ROS 1 (``std_msgs/Header``)."""
@@ -92,21 +89,3 @@ def topics_of(counts: Iterable[tuple[Channel, Count]]) -> list[Topic]:
     for channel, count in counts:
         total[channel] = total.get(channel, Count()).plus(count)
     return [Topic(*channel, *total[channel]) for channel in sorted(total)]
-
-
-def batches(messages: Iterable[Message]) -> Iterator[tuple[Channel, list[int], list[bytes]]]:
-    """Messages grouped by channel, in portions that fit in memory: channel, log times and payloads."""
-    waiting: dict[Channel, tuple[list[int], list[bytes]]] = {}
-    n_bytes: dict[Channel, int] = {}
-    for channel, log_ns, payload in messages:
-        if channel not in waiting:
-            waiting[channel], n_bytes[channel] = ([], []), 0
-        times, payloads = waiting[channel]
-        times.append(log_ns)
-        payloads.append(payload)
-        n_bytes[channel] += len(payload)
-        if len(payloads) >= BATCH or n_bytes[channel] >= BATCH_BYTES:
-            del waiting[channel]
-            yield channel, times, payloads
-    for channel, (times, payloads) in waiting.items():
-        yield channel, times, payloads

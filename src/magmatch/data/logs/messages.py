@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Stamps, frames and numbers of the message types that a survey is made of."""
 
-from collections.abc import Callable, Iterator, Sequence
+from array import array
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from magmatch.data.logs.decode import decode, no_json
+from magmatch.data.logs.decode import MalformedError, decode, no_json
 from magmatch.data.logs.log import Channel, printable
 from magmatch.data.tables.nanoseconds import SECOND
 from magmatch.typing import Indices, Matrix
@@ -28,6 +30,9 @@ VECTORS = ("sensor_msgs/MagneticField", "geometry_msgs/Vector3Stamped", "geometr
 TREES = ("tf2_msgs/TFMessage", "tf/tfMessage")
 WITH_CHILD = ("nav_msgs/Odometry", "geometry_msgs/TransformStamped", *TREES)
 
+# Messages between which entries that are not needed are left out.
+THINNED = 8192
+
 Frames = tuple[str, str]  # of the header, and of the child ("" where the type has none)
 Fault = tuple[int, str]  # number of a message, and what is wrong with it
 
@@ -47,6 +52,21 @@ class Entries:
         return Entries(self.frames, self.number[rows], self.log_ns[rows], self.stamp_ns[rows], self.values[rows])
 
 
+class _Rows:
+    """Numbers of the messages with the same frames, as they come."""
+
+    def __init__(self, part: Entries | None = None) -> None:
+        self.stamps, self.values = array("q"), array("d")  # number, log time and stamp of each message
+        if part is not None:
+            self.stamps.extend(np.column_stack([part.number, part.log_ns, part.stamp_ns]).ravel().tolist())
+            self.values.extend(part.values.ravel().tolist())
+
+    def entries(self, frames: Frames) -> Entries:
+        """All of them so far."""
+        number, log_ns, stamp_ns = np.array(self.stamps, dtype=np.int64).reshape(-1, 3).T
+        return Entries(frames, number, log_ns, stamp_ns, np.array(self.values).reshape(len(number), -1))
+
+
 @dataclass(slots=True)
 class Decoder:
     """Decodes the messages of one topic in the order of the file; `faults` are those that are none.
@@ -56,79 +76,52 @@ class Decoder:
 
     thin: Callable[[Entries], Entries] | None = None
     faults: list[Fault] = field(default_factory=list)
-    _parts: dict[Frames, list[Entries]] = field(default_factory=dict)
+    _rows: dict[Frames, _Rows] = field(default_factory=dict)
     _n: int = 0
 
-    def take(self, channel: Channel, log_ns: Sequence[int], payloads: Sequence[bytes]) -> None:
-        """Decode some messages of a type in `PATHS`."""
-        times = np.array(log_ns, dtype=np.int64)
-        for rows, content in decode(channel, payloads):
-            number = self._n + rows
-            try:
-                if isinstance(content, str):
-                    raise ValueError(content)  # noqa: TRY301, TRY004
-                for entry in content["transforms"] if channel.type in TREES else [content]:
-                    for frames, here, stamp_ns, values in _by_frames(entry, channel, len(rows)):
-                        part = Entries(frames, number[here], times[rows[here]], stamp_ns[here], values[here])
-                        self._parts.setdefault(frames, []).append(part)
-            except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
-                words = content if isinstance(content, str) else no_json(error)
-                self.faults += [(int(n), printable(words)) for n in number]
-        self._n += len(payloads)
-        if self.thin is not None:
-            self._parts = {frames: [self.thin(part)] for frames, part in self.entries().items()}
+    def take(self, channel: Channel, log_ns: int, payload: bytes) -> None:
+        """Decode a message of a type in `PATHS`."""
+        try:
+            message = decode(channel, payload)
+            for entry in message.transforms if channel.type in TREES else [message]:
+                frames, stamp_ns, values = _numbers_of(entry, channel)
+                rows, stamps = self._rows.setdefault(frames, _Rows()), array("q", (self._n, log_ns, stamp_ns))
+                rows.values.extend(values)
+                rows.stamps.extend(stamps)
+        except MalformedError as error:
+            self.faults.append((self._n, str(error)))
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
+            self.faults.append((self._n, str(no_json(error))))
+        self._n += 1
+        if self.thin is not None and self._n % THINNED == 0:
+            self._rows = {frames: _Rows(self.thin(part)) for frames, part in self.entries().items()}
 
     def entries(self) -> dict[Frames, Entries]:
         """All that was decoded, by frames; entries in the order of the file."""
-        return {frames: _joined(frames, parts) for frames, parts in self._parts.items()}
+        return {frames: rows.entries(frames) for frames, rows in self._rows.items()}
 
 
-def _joined(frames: Frames, parts: list[Entries]) -> Entries:
-    number, log_ns, stamp_ns, values = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("number", "log_ns", "stamp_ns", "values")
-    )
-    return Entries(frames, number, log_ns, stamp_ns, values).at(np.argsort(number, kind="stable"))
-
-
-def _by_frames(
-    entry: dict[str, Any], channel: Channel, n: int
-) -> Iterator[tuple[Frames, np.ndarray, Indices, Matrix]]:
-    """Frames, rows that name them, and stamps and values of all rows."""
-    header, part = entry["header"], entry
+def _numbers_of(entry: Any, channel: Channel) -> tuple[Frames, int, list[float]]:
+    """Frames, stamp and values of a message."""
+    header, part = entry.header, entry
     for key in PATHS[channel.type]:
-        part = part[key]
-    if channel.type not in VECTORS:
-        place = part["translation"] if "translation" in part else part["position"]
-        turn = part["rotation"] if "rotation" in part else part["orientation"]
-        columns = [place[k] for k in "xyz"] + [turn[k] for k in "xyzw"]
+        part = getattr(part, key)
+    if channel.type in VECTORS:
+        values = [float(v) for v in (part.x, part.y, part.z)]
     else:
-        columns = [part[k] for k in "xyz"]
-    values = np.column_stack([_column(column, np.float64, n) for column in columns])
-    stamp = header["stamp"]
-    seconds = _column(stamp["sec"] if "sec" in stamp else stamp["secs"], np.int64, n)
-    rest = next(stamp[name] for name in ("nanosec", "nsec", "nsecs") if name in stamp)
+        place = part.translation if hasattr(part, "translation") else part.position
+        turn = part.rotation if hasattr(part, "rotation") else part.orientation
+        values = [float(v) for v in (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)]
+    stamp = vars(header.stamp)
+    seconds = int(next(stamp[name] for name in ("sec", "secs") if name in stamp))
+    rest = int(next(stamp[name] for name in ("nanosec", "nsec", "nsecs") if name in stamp))
     if channel.encoding == "ros1":
-        seconds = seconds % (1 << 32)  # ROS 1 counts seconds without a sign
-    stamp_ns = seconds * SECOND + _column(rest, np.int64, n)
-    names = [header["frame_id"], entry["child_frame_id"] if channel.type in WITH_CHILD else b""]
-    header_frame, child = (np.broadcast_to(np.asarray(name), (n,)) for name in names)
-    if (header_frame == header_frame[0]).all() and (child == child[0]).all():
-        yield (_name(header_frame[0]), _name(child[0])), np.arange(n), stamp_ns, values
-        return
-    for pair in sorted(set(zip(header_frame.tolist(), child.tolist(), strict=True))):
-        here = np.flatnonzero((header_frame == pair[0]) & (child == pair[1]))
-        yield (_name(pair[0]), _name(pair[1])), here, stamp_ns, values
+        seconds %= 1 << 32  # ROS 1 counts seconds without a sign
+    child = entry.child_frame_id if channel.type in WITH_CHILD else ""
+    return (_name(header.frame_id), _name(child)), seconds * SECOND + rest, values
 
 
-def _column(values: Any, dtype: type, n: int) -> np.ndarray:
-    """One number of each message; of JSON, which may hold anything, the number of a single one."""
-    column = np.asarray(values).astype(dtype) if isinstance(values, np.ndarray) else np.array([dtype(values)])
-    if column.shape != (n,):
-        msg = f"expected a number, found {str(values)[:40]}"
-        raise ValueError(msg)
-    return column
-
-
-def _name(raw: bytes | str) -> str:
+@lru_cache
+def _name(raw: Any) -> str:
     """Name of a frame, without the slash that tf once put in front."""
-    return printable(raw.decode("utf-8", "replace") if isinstance(raw, bytes) else str(raw)).lstrip("/")
+    return printable(str(raw)).lstrip("/")

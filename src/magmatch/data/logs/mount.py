@@ -3,16 +3,16 @@
 
 import logging
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.logs.decode import ENCODINGS, decode
+from magmatch.data.logs.decode import ENCODINGS, MalformedError, decode
 from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
-from magmatch.data.logs.log import Log, Topic, batches
+from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import TREES, Entries, Frames
 from magmatch.data.logs.streams import TopicStream, read_streams
 from magmatch.errors import DataFormatError
@@ -70,12 +70,10 @@ def with_description(log: Log, topics: Sequence[Topic], tree: FrameTree) -> Fram
     """The tree, with the fixed joints of the robot's description (URDF) where tf does not state them."""
     wanted = {topic.channel for topic in topics if _is_description(topic)}
     joints: dict[Frames, RigidTransform] = {}
-    for channel, _, payloads in batches(log.messages({c.topic for c in wanted})) if wanted else ():
+    for channel, _, payload in log.messages({c.topic for c in wanted}) if wanted else ():
         if channel in wanted:
-            for payload in payloads:
-                ((_, content),) = decode(channel, [payload])
-                if isinstance(content, dict):
-                    joints |= _fixed_joints(log.path, content["data"])
+            with suppress(MalformedError, AttributeError):
+                joints |= _fixed_joints(log.path, str(decode(channel, payload).data))
     return replace(tree, static={edge: T for edge, T in joints.items() if edge not in tree.moving} | tree.static)
 
 
@@ -93,9 +91,8 @@ def _unread(log: Log, topics: Sequence[Topic]) -> dict[Frames, Entries]:
         return {}
 
 
-def _fixed_joints(path: Path, text: Any) -> dict[Frames, RigidTransform]:
-    """Transforms of the joints of a URDF that do not move, by names of links; its text may stand in a column."""
-    words = text if isinstance(text, str) else text[0].decode("utf-8", "replace")
+def _fixed_joints(path: Path, words: str) -> dict[Frames, RigidTransform]:
+    """Transforms of the joints of a URDF that do not move, by names of links."""
     if "<!ENTITY" in words:
         return {}
     found = {}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.logs.log import Log, Topic, batches
+from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Decoder, Entries, Fault, Frames
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import DataFormatError
@@ -54,9 +54,9 @@ def read_streams(
     """
     thinned = None if thin is None else lambda part: thin(_whole(part, []))
     decoders = {topic.channel: Decoder(thinned) for topic in topics}
-    for channel, log_ns, payloads in batches(log.messages({topic.name for topic in topics})):
+    for channel, log_ns, payload in log.messages({topic.name for topic in topics}):
         if channel in decoders:
-            decoders[channel].take(channel, log_ns, payloads)
+            decoders[channel].take(channel, log_ns, payload)
     return [_stream(log.path, topic, decoders[topic.channel], recover=recover) for topic in topics]
 
 
