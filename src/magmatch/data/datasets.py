@@ -108,11 +108,6 @@ def cache_folder() -> Path:
     return Path(pooch.os_cache("magmatch"))
 
 
-def sha256(path: str | Path) -> str:
-    """SHA-256 of a file's content, in hex."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
-
-
 def _keep(path: Path, content: bytes) -> None:
     """Put a file into the cache."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -122,7 +117,7 @@ def _keep(path: Path, content: bytes) -> None:
 
 def _is_whole(path: Path, digest: str) -> bool:
     """Whether a file is there with the content it should have."""
-    return path.is_file() and sha256(path) == digest
+    return path.is_file() and hashlib.sha256(read_bytes(path)).hexdigest() == digest
 
 
 def _download(dataset: Dataset, files: list[str], cache: Path) -> None:

@@ -12,7 +12,7 @@ from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
 from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
-from magmatch.data.formats.euroc import read_euroc_field
+from magmatch.data.formats.euroc import FIELD_COLUMNS, read_euroc
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.mat import advice_for_arrays, read_mat
@@ -166,10 +166,8 @@ def _read_phone(
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
-    return _joined(
-        recording_of_table(read_euroc_field(path, recover=layout.recover), layout.settled(field_frame="sensor")),
-        layout,
-    )
+    table = read_euroc(path, FIELD_COLUMNS, lone="b", recover=layout.recover)
+    return _joined(recording_of_table(table, layout.settled(field_frame="sensor")), layout)
 
 
 Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]

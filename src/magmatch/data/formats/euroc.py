@@ -7,7 +7,6 @@ import numpy as np
 
 from magmatch.data.tables.ordered_table import read_ordered
 from magmatch.data.tables.table import Table
-from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import LengthUnit
 from magmatch.errors import DataFormatError
 
@@ -15,20 +14,10 @@ POSE_COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
 FIELD_COLUMNS = ("t", "bx", "by", "bz")
 
 
-def read_euroc_trajectory(path: str | Path, length_unit: LengthUnit = "m", *, recover: bool) -> Trajectory:
-    """Read the poses of a ground truth or an estimate."""
-    return Trajectory.from_table(_read(path, POSE_COLUMNS, length_unit, recover=recover))
-
-
-def read_euroc_field(path: str | Path, *, recover: bool) -> Table:
-    """Read the rows of a magnetometer."""
-    return _read(path, FIELD_COLUMNS, lone="b", recover=recover)
-
-
-def _read(
+def read_euroc(
     path: str | Path, order: tuple[str, ...], length_unit: LengthUnit = "m", lone: str = "", *, recover: bool
 ) -> Table:
-    """Rows with their stamps as seconds: of nanoseconds, unless the header states another unit."""
+    """Read rows in one of these orders, stamps as seconds: of nanoseconds, unless the header states another unit."""
     table, unit = read_ordered(path, order, "ns", length_unit, lone, recover=recover)
     if unit == "ns":
         stamps = table.columns["t"] * 1e9

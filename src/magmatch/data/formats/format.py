@@ -79,25 +79,24 @@ class SurveyFormat(Settings):
 
     def stated_columns(self) -> dict[str, str]:
         """Read `columns`: for our names of columns the file's name (lower case), a number or a constant."""
-        stated: dict[str, str] = {}
-        for pair in () if self.columns is None else self.columns.split(","):
-            ours, mark, theirs = (part.strip() for part in pair.partition("="))
-            if not mark or ours not in COLUMN_NAMES or not theirs or ours in stated:
-                msg = (
-                    f"--columns: expected pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}; found '{pair.strip()}'"
-                )
-                raise ConfigurationError(msg)
-            stated[ours] = theirs.removeprefix("-").lower() if self._is_reversed(ours, theirs) else theirs.lower()
-        return stated
+        return {ours: text for ours, (text, _) in self._columns().items()}
 
     def reversed_columns(self) -> tuple[str, ...]:
         """Our names of the columns that `columns` states with a minus."""
-        pairs = [pair.partition("=")[::2] for pair in (self.columns or "").split(",")]
-        return tuple(ours.strip() for ours, theirs in pairs if self._is_reversed(ours.strip(), theirs.strip()))
+        return tuple(ours for ours, (_, is_reversed) in self._columns().items() if is_reversed)
 
-    @staticmethod
-    def _is_reversed(ours: str, theirs: str) -> bool:
-        """Whether a minus reverses a column: before the number of one that may be constant, it is the constant's."""
+    def _columns(self) -> dict[str, tuple[str, bool]]:
+        """Read `columns`; a minus before the number of a column that may be constant is the constant's."""
         from magmatch.data.survey_columns import MAY_BE_CONSTANT, constant_of  # numpy is late for help
 
-        return theirs.startswith("-") and not (ours in MAY_BE_CONSTANT and constant_of(theirs) is not None)
+        stated: dict[str, tuple[str, bool]] = {}
+        for pair in () if self.columns is None else self.columns.split(","):
+            ours, mark, theirs = (part.strip() for part in pair.partition("="))
+            if not mark or ours not in COLUMN_NAMES or not theirs or ours in stated:
+                expected = f"pairs such as x=pos_x of {', '.join(COLUMN_NAMES)}"
+                msg = f"--columns: expected {expected}; found '{pair.strip()}'"
+                raise ConfigurationError(msg)
+            is_constant = ours in MAY_BE_CONSTANT and constant_of(theirs) is not None
+            is_reversed = theirs.startswith("-") and not is_constant
+            stated[ours] = theirs.removeprefix("-" * is_reversed).lower(), is_reversed
+        return stated

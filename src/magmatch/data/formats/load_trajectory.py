@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from magmatch.data.formats.euroc import read_euroc_trajectory
+from magmatch.data.formats.euroc import POSE_COLUMNS, read_euroc
 from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.recording import Recording
@@ -26,8 +26,9 @@ def load_trajectory(path: str | Path, layout: SurveyFormat, time_unit: TimeUnit 
         raise DataFormatError(path, message)
     unit, metre = layout.length_unit, METRE_PER_UNIT[layout.length_unit]
     if kind == "euroc":
-        return read_euroc_trajectory(path, unit, recover=layout.recover).scaled(metre)
-    table = read_tum(path, unit, time_unit or layout.trajectory_time_unit, recover=layout.recover)
+        table = read_euroc(path, POSE_COLUMNS, unit, recover=layout.recover)
+    else:
+        table = read_tum(path, unit, time_unit or layout.trajectory_time_unit, recover=layout.recover)
     return Trajectory.from_table(table).scaled(metre)
 
 

@@ -8,9 +8,12 @@ import re
 import struct
 import zipfile
 import zlib
+from codecs import BOM_UTF8
 from pathlib import Path
+from types import ModuleType
 from typing import Literal
 
+from magmatch.data.formats.phones import getsensordata, xyz10
 from magmatch.data.formats.phones.containers import (
     head_of_member,
     opened_tables,
@@ -19,7 +22,6 @@ from magmatch.data.formats.phones.containers import (
     refuse_strays,
 )
 from magmatch.data.formats.phones.tables import is_phone_header
-from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.tables.gzipped import is_gzip
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import is_number
@@ -111,6 +113,12 @@ def may_be_map(path: Path) -> bool:
     with path.open("rb") as stream:
         head = stream.read(_STORED_HEAD)
     return (_is_stored(head) and not _other_schema(head)) or (head.startswith(b"PK") and sniff(path) == "map")
+
+
+def text_log_of(head: bytes) -> ModuleType | None:
+    """Tell the app whose text of rows, each named after its sensor, a file begins like: the module that reads it."""
+    text = head[:_HEAD].removeprefix(BOM_UTF8)
+    return next((app for app in (getsensordata, xyz10) if app.begins_like(text)), None)
 
 
 def _is_stored(head: bytes) -> bool:

@@ -23,7 +23,7 @@ from mcap.reader import SeekingReader
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag1 import Reader
 
-from magmatch.data.logs.log import Channel, Count, Message, Topic, printable, topics_of
+from magmatch.data.logs.log import Channel, Count, Log, Message, printable
 from magmatch.errors import DataFormatError, MagmatchError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -56,7 +56,7 @@ class _Place(NamedTuple):
     time: int
 
 
-class Ros1Log:
+class Ros1Log(Log):
     """A ROS 1 bag, open for reading."""
 
     def __init__(self, path: Path) -> None:
@@ -64,32 +64,29 @@ class Ros1Log:
         self._damage_told = partial(damage_told, path, "ROS 1 bag", "rosbag reindex")
         with self._damage_told():
             self._reader.open()
-        self._channels = {c.id: Channel.named(c.topic, c.msgtype, "ros1") for c in self._reader.connections}
+        self.channels = {c.id: Channel.named(c.topic, c.msgtype, "ros1") for c in self._reader.connections}
         # Where the reader expects what it sorted by time.
         self._reader.indexes = {
             key: sorted(_Place(one.chunk_pos, one.offset, one.time) for one in index)  # type: ignore[misc]
             for key, index in self._reader.indexes.items()
         }
+        times = {key: [one.time for one in index] for key, index in self._reader.indexes.items()}
+        self.counts = {key: Count(len(found), min(found), max(found)) for key, found in times.items() if found}
 
     def close(self) -> None:
         """Close the file."""
         self._reader.close()
 
-    def topics(self) -> list[Topic]:
-        """All topics, by name."""
-        times = {key: [one.time for one in index] for key, index in self._reader.indexes.items()}
-        counts = {key: Count(len(found), min(found), max(found)) for key, found in times.items() if found}
-        return topics_of((channel, counts.get(key, Count())) for key, channel in self._channels.items())
-
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
-        wanted = [c for c in self._reader.connections if self._channels[c.id].topic in topics]
+        channels = self.channels_of(topics)
+        wanted = [connection for connection in self._reader.connections if connection.id in channels]
         with self._damage_told():
             for connection, log_ns, payload in self._reader.messages(wanted) if wanted else ():
-                yield self._channels[connection.id], log_ns, payload
+                yield channels[connection.id], log_ns, payload
 
 
-class SqliteLog:
+class SqliteLog(Log):
     """The database of a ROS 2 bag, open for reading; nothing in it is trusted."""
 
     def __init__(self, path: Path) -> None:
@@ -104,7 +101,7 @@ class SqliteLog:
         self._database.text_factory = lambda raw: raw.decode("utf-8", "replace")
         try:
             with self._damage_told():
-                self._channels = self._read_channels()
+                self.channels, self.counts = self._read_channels(), self._count()
         except DataFormatError:
             self.close()
             raise
@@ -125,19 +122,17 @@ class SqliteLog:
         """Close the file."""
         self._database.close()
 
-    def topics(self) -> list[Topic]:
-        """All topics, by name."""
+    def _count(self) -> dict[int, Count]:
+        """Learn how many messages there are of each topic, and from when."""
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
-        with self._damage_told():
-            found = {key: Count(*count) for key, *count in self._database.execute(query)}
-        counts = {key: found.get(key, Count()) for key in self._channels}
+        counts = {key: Count(*count) for key, *count in self._database.execute(query)}
         if not all(isinstance(number, int) for count in counts.values() for number in count):
             raise DataFormatError(self.path, "holds messages whose time stamp is no whole number")
-        return topics_of((channel, counts[key]) for key, channel in self._channels.items())
+        return counts
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order in which they were written."""
-        wanted = {key: channel for key, channel in self._channels.items() if channel.topic in topics}
+        wanted = self.channels_of(topics)
         marks = ",".join(map(str, wanted))
         query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY id"
         with self._damage_told():
@@ -147,15 +142,14 @@ class SqliteLog:
                 yield wanted[key], log_ns, payload
 
 
-class McapLog:
+class McapLog(Log):
     """An MCAP file, open for reading; chunks are passed over where a whole index says what they hold."""
 
     def __init__(self, path: Path) -> None:
         self.path, self._stream = path, path.open("rb")
         self._damage_told = partial(damage_told, path, "MCAP file", "mcap recover")
         self._schemas = {0: ""}
-        self._channels: dict[int, Channel] = {}
-        self._counts: dict[int, Count] = {}
+        self.channels, self.counts = {}, {}
         self._chunks: list[mcap.ChunkIndex] | None = None
         try:
             with self._damage_told():
@@ -173,14 +167,10 @@ class McapLog:
         """Close the file."""
         self._stream.close()
 
-    def topics(self) -> list[Topic]:
-        """All topics, by name."""
-        return topics_of((channel, self._counts.get(key, Count())) for key, channel in self._channels.items())
-
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
-        wanted = {key: channel for key, channel in self._channels.items() if channel.topic in topics}
-        left = {key: self._counts.get(key, Count()).n for key in wanted}
+        wanted = self.channels_of(topics)
+        left = {key: self.counts.get(key, Count()).n for key in wanted}
         with self._damage_told():
             for record in self._records(wanted):
                 if isinstance(record, mcap.Message) and record.channel_id in wanted:
@@ -215,17 +205,17 @@ class McapLog:
             times = np.frombuffer(self._stream.read(n_bytes), "<u8")[::2]
             if len(times):
                 self._add(key, Count(len(times), int(times.min()), _possible(int(times.max()))))
-        is_whole = sum(count.n for count in self._counts.values()) == summary.statistics.message_count
-        self._chunks = chunks if is_whole and self._counts.keys() <= self._channels.keys() else None
+        is_whole = sum(count.n for count in self.counts.values()) == summary.statistics.message_count
+        self._chunks = chunks if is_whole and self.counts.keys() <= self.channels.keys() else None
         return self._chunks is not None
 
     def _count(self) -> None:
         """Learn from all records what the file holds."""
-        self._counts = {}
+        self.counts = {}
         for record in self._records(()):
             self._define(record)
             if isinstance(record, mcap.Message):
-                if record.channel_id not in self._channels:
+                if record.channel_id not in self.channels:
                     msg = f"a message of channel {record.channel_id}, which is nowhere defined"
                     raise McapError(msg)
                 self._add(record.channel_id, Count(1, *2 * [_possible(record.log_time)]))
@@ -239,10 +229,10 @@ class McapLog:
                 msg = f"channel {record.id} of schema {record.schema_id}, which is nowhere defined"
                 raise McapError(msg)
             kind = self._schemas[record.schema_id]
-            self._channels[record.id] = Channel.named(record.topic, kind, record.message_encoding)
+            self.channels[record.id] = Channel.named(record.topic, kind, record.message_encoding)
 
     def _add(self, key: int, count: Count) -> None:
-        self._counts[key] = self._counts.get(key, Count()).plus(count)
+        self.counts[key] = self.counts.get(key, Count()).plus(count)
 
 
 def _possible(log_ns: int) -> int:

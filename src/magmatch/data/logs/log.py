@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The protocol of recorder logs: topics with counts and spans, and the messages of some topics."""
+"""What recorder logs have in common: topics with counts and spans, and the messages of some topics."""
 
-from collections.abc import Collection, Iterable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 
 class Channel(NamedTuple):
@@ -63,17 +64,29 @@ class Topic:
                 "span": span}  # fmt: skip
 
 
-class Log(Protocol):
+class Log(ABC):
     """A recorder log, open for reading."""
 
     path: Path
+    channels: dict[int, Channel]  # by number
+    counts: dict[int, Count]  # of the channels that have messages
 
     def topics(self) -> list[Topic]:
         """All topics, by name."""
+        total: dict[Channel, Count] = {}
+        for key, channel in self.channels.items():
+            total[channel] = total.get(channel, Count()).plus(self.counts.get(key, Count()))
+        return [Topic(*channel, *total[channel]) for channel in sorted(total)]
 
+    def channels_of(self, topics: Collection[str]) -> dict[int, Channel]:
+        """Channels of some topics, by number."""
+        return {key: channel for key, channel in self.channels.items() if channel.topic in topics}
+
+    @abstractmethod
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Messages of some topics, in the order of the file."""
+        """Messages of some topics, in the order in which they were written."""
 
+    @abstractmethod
     def close(self) -> None:
         """Close the file."""
 
@@ -81,11 +94,3 @@ class Log(Protocol):
 def printable(name: str) -> str:
     """A name that can be shown: on one line, and not endless."""
     return "".join(c if c.isprintable() else "?" for c in name[:200])
-
-
-def topics_of(counts: Iterable[tuple[Channel, Count]]) -> list[Topic]:
-    """Topics by name, from the counts of their channels."""
-    total: dict[Channel, Count] = {}
-    for channel, count in counts:
-        total[channel] = total.get(channel, Count()).plus(count)
-    return [Topic(*channel, *total[channel]) for channel in sorted(total)]

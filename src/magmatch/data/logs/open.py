@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from magmatch.data.logs.log import Count, Log, Message, Topic, topics_of
+from magmatch.data.logs.log import Count, Log, Message
 from magmatch.data.tables.text import is_folder, read_bytes
 from magmatch.data.tables.yaml_text import load_yaml
 from magmatch.errors import DataFormatError, MissingExtraError
@@ -46,21 +46,19 @@ def open_log(path: str | Path) -> Log:
     raise DataFormatError(path, "is no ROS 1 bag, ROS 2 bag or MCAP file, or its first bytes are damaged")
 
 
-class JoinedLog:
+class JoinedLog(Log):
     """Files of one recording in order, read as one; messages may be compressed one by one."""
 
     def __init__(self, path: Path, parts: Sequence[Log], *, is_packed: bool) -> None:
         self.path, self._parts, self._is_packed = path, parts, is_packed
+        topics = dict(enumerate(topic for part in parts for topic in part.topics()))
+        self.channels = {key: topic.channel for key, topic in topics.items()}
+        self.counts = {key: Count(topic.count, topic.first_ns, topic.last_ns) for key, topic in topics.items()}
 
     def close(self) -> None:
         """Close the files."""
         for part in self._parts:
             part.close()
-
-    def topics(self) -> list[Topic]:
-        """All topics, by name."""
-        found = [topic for part in self._parts for topic in part.topics()]
-        return topics_of((topic.channel, Count(topic.count, topic.first_ns, topic.last_ns)) for topic in found)
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, file after file."""

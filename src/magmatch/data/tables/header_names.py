@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from magmatch.data.units import METRE_PER_UNIT, FieldUnit, LengthUnit, TimeUnit
+from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 
 # What words before an axis say that it is of: positions, orientations, the field, or another vector.
 _KINDS: Mapping[str, str] = {
@@ -17,19 +17,8 @@ _KINDS: Mapping[str, str] = {
     **dict.fromkeys(("cov", "covariance", "sd", "sigma", "std", "var"), "?"),
 }
 _TIMES = {
-    "t",
-    "time",
-    "times",
-    "timestamp",
-    "timestamps",
-    "stamp",
-    "epoch",
-    "sec",
-    "secs",
-    "seconds",
-    "nsec",
-    "nsecs",
-}
+    "t", "time", "times", "timestamp", "timestamps", "stamp", "epoch", "sec", "secs", "seconds", "nsec", "nsecs"
+}  # fmt: skip
 _UNITS: Mapping[str, TimeUnit | LengthUnit | FieldUnit] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), "ms"),
@@ -113,9 +102,3 @@ def _kind_of(parts: Sequence[str]) -> str | None:
     """Find what an axis belongs to: the last whole word says it, else the first letter; letters behind are frames."""
     words = [part for part in reversed(parts) if len(part) > 2] + [part for part in parts if len(part) <= 2]
     return next((_KINDS[part] for part in words if part in _KINDS), None)
-
-
-def length_unit_of(header: Header) -> LengthUnit | None:
-    """Unit that a header states for positions."""
-    stated = {header.units.get(name) for name in "xyz"}
-    return next((unit for unit in METRE_PER_UNIT if unit in stated), None)

@@ -4,12 +4,12 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from magmatch.data.tables.header_names import Header, header_of, length_unit_of, words_of
+from magmatch.data.tables.header_names import Header, header_of, words_of
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import listed, rows_of
-from magmatch.data.units import DIGITS_OF_SECOND, LengthUnit, TimeUnit
+from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, LengthUnit, TimeUnit
 from magmatch.errors import DataFormatError
 
 
@@ -42,7 +42,8 @@ def read_ordered(
         header = _comment(path, len(cells), rows.comments, order, lone)
     units: Mapping[str, str] = header.units if header else {}
     unit = next((unit for unit in DIGITS_OF_SECOND if unit == units.get("t")), time_unit)
-    stated = length_unit_of(header) if header else None
+    lengths = {units.get(name) for name in "xyz"}
+    stated = next((unit for unit in METRE_PER_UNIT if unit in lengths), None)
     if stated not in (None, "m", length_unit):
         message = f"expected positions in {length_unit}, found '{stated}' in the header: --length-unit {stated}"
         raise DataFormatError(path, message)

@@ -26,12 +26,12 @@ _ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.,]+;")
 ONE_CLOCK = 1.0
 
 
-def is_getsensordata(head: bytes) -> bool:
+def begins_like(head: bytes) -> bool:
     """Whether a file begins like such a log."""
     return (head.startswith(b"%") and _ROW.search(head) is not None) or _ROW.match(head) is not None
 
 
-def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
+def read(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
     """Read the sensors that are wanted, on the app's clock.
 
     The app's times come in bursts; the sensors' own are even. So a row's time is its sensor's, moved by the median of
@@ -51,7 +51,7 @@ def read_getsensordata(path: Path, raw: bytes, wanted: Collection[Sensor], *, re
     return streams
 
 
-def points_of_getsensordata(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
+def points(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
     """Read the points that the walker marked, which have the app's times only."""
     blocks = _read(path, raw, {_POINT}, _POINT_NAMES, recover)
     if _POINT not in blocks:

@@ -25,12 +25,12 @@ _JOINED = re.compile(r"(?=\d{13}\tTYPE_)")
 MS = 1e-3  # s
 
 
-def is_xyz10(head: bytes) -> bool:
+def begins_like(head: bytes) -> bool:
     """Whether a file begins like such a log."""
     return (head.startswith(b"#") and _HEAD.search(head) is not None) or _HEAD.match(head) is not None
 
 
-def read_xyz10(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
+def read(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -> dict[Sensor, Stream]:
     """Read the sensors that are wanted, on the clock of the phone."""
     blocks = _read(path, raw, {tag for tag, sensor in _TAGS.items() if sensor in wanted}, "xyz", recover)
     return {
@@ -39,7 +39,7 @@ def read_xyz10(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: b
     }
 
 
-def points_of_xyz10(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
+def points(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
     """Read the points that the walker marked: x and y in the frame of the floor's plan."""
     block, lines = _read(path, raw, {_POINT}, "xy", recover).get(_POINT, (None, None))
     if block is None or lines is None:
