@@ -16,8 +16,8 @@ from magmatch.data.survey_columns import (
     choose_columns,
     warn_of_unused_times,
 )
-from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
 from magmatch.data.tables.table import Table
+from magmatch.data.tables.times import seconds_of_column, seconds_of_dates
 from magmatch.data.units import UNITS_PER_SECOND, TimeUnit, size_of_unit
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
@@ -104,9 +104,9 @@ def _numbers(column: Any, ours: str, name: str, n: int, per_second: float) -> Sc
             msg = f"expected one column for {ours}, found {np.shape(column)[1]} of that name; drop the others"
             raise ValueError(msg)  # noqa: TRY301
         if ours == "t" and getattr(column.dtype, "kind", "") == "M":
-            dates = np.asarray(column, dtype="datetime64[ns]")
-            require_finite(np.where(np.isnat(dates), np.nan, 0.0), ours)
-            return seconds_of(dates.astype(np.int64).tolist())
+            seconds = seconds_of_dates(column)
+            require_finite(seconds, ours)
+            return seconds
         values = column_of(column, ours, "any unit", n)
         if ours != "t":
             return values

@@ -67,7 +67,12 @@ def fetch(name: str, source_dir: str | Path | None = None) -> dict[str, Path]:
     """
     dataset = find_dataset(name)
     cache = cache_folder() / name
-    missing = [file for file, digest in dataset.files.items() if not _is_whole(cache / file, digest)]
+    there = {
+        file: hashlib.sha256(read_bytes(cache / file)).hexdigest()
+        for file in dataset.files
+        if (cache / file).is_file()
+    }
+    missing = [file for file, digest in dataset.files.items() if there.get(file) != digest]
     logger.info("%s: %s. Licence: %s Cite: %s", name, dataset.title, dataset.licence, dataset.citation)
     if source_dir is not None:
         sources = verified_files(name, source_dir)
@@ -113,11 +118,6 @@ def _keep(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as stream:
         stream.write(content)
-
-
-def _is_whole(path: Path, digest: str) -> bool:
-    """Whether a file is there with the content it should have."""
-    return path.is_file() and hashlib.sha256(read_bytes(path)).hexdigest() == digest
 
 
 def _download(dataset: Dataset, files: list[str], cache: Path) -> None:

@@ -12,9 +12,8 @@ from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
 from magmatch.data.formats.channels import read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
-from magmatch.data.formats.euroc import FIELD_COLUMNS, read_euroc
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.load_trajectory import with_poses
+from magmatch.data.formats.load_trajectory import EUROC_FIELD, read_euroc, with_poses
 from magmatch.data.formats.mat import advice_for_arrays, read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor
@@ -166,7 +165,7 @@ def _read_phone(
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
-    table = read_euroc(path, FIELD_COLUMNS, lone="b", recover=layout.recover)
+    table = read_euroc(path, EUROC_FIELD, lone="b", recover=layout.recover)
     return _joined(recording_of_table(table, layout.settled(field_frame="sensor")), layout)
 
 

@@ -69,7 +69,7 @@ class Flight:
     series: list = field(default_factory=list)
 
     def trajectory(self):
-        from magmatch.data.tables.nanoseconds import seconds_of
+        from magmatch.data.tables.times import seconds_of
         from magmatch.data.trajectory import Trajectory
 
         times = seconds_of(self.pose_ns.tolist())

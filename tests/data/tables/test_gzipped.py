@@ -8,7 +8,7 @@ import pytest
 
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
-from magmatch.data.tables.gzipped import plain_file
+from magmatch.data.tables.text import plain_file
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.write import SURVEY_WRITERS
 from magmatch.errors import DataFormatError

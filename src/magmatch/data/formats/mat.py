@@ -3,7 +3,7 @@
 
 import logging
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,11 @@ from magmatch.data.survey_columns import (
     constant_of,
     position_columns,
 )
-from magmatch.data.tables.gzipped import plain_file
-from magmatch.data.tables.nanoseconds import seconds_of_column
-from magmatch.data.tables.table import Table
-from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.table import Table, table_of_columns
+from magmatch.data.tables.text import plain_file, read_bytes
+from magmatch.data.tables.times import seconds_of_column
 from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError, MagmatchError, import_extra
-from magmatch.number_text import many
-from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
@@ -58,7 +55,11 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
         there = [text for text in stated.values() if text.partition(":")[0] in arrays]
         missing = [text for text in stated.values() if text not in there and constant_of(text) is None]
         names = list(dict.fromkeys([*there, *vectors]))
-        if "t" not in (*stated, *vectors) and layout.rate is None and _has_times(place, is_v5=is_v5):
+        if (
+            "t" not in (*stated, *vectors)
+            and layout.rate is None
+            and any(name.partition(" ")[0].lower() == "t" for name in _listing(place, is_v5=is_v5))
+        ):
             logger.warning("%s: has no column t: its 't' holds no column of real numbers and is left out", path)
         if missing or not set(names) - {"t"}:
             expected = ", ".join(missing) or "x, y, z, bx, by, bz"
@@ -74,40 +75,15 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
             name: seconds_of_column(_column(place, name, arrays[name.partition(":")[0]]), ticks.get(name, 1.0))
             for name in chosen.ours
         }
-        table = chosen.of(_table(Path(path), columns, recover=layout.recover))
+        table = chosen.of(table_of_columns(path, columns, recover=layout.recover))
         # Only for the message about what is missing: it costs another look at the file.
         is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
         return table if is_whole else replace(table, names=_listing(place, is_v5=is_v5))
 
 
-def _has_times(path: Path, *, is_v5: bool) -> bool:
-    """Whether something of whatever kind is called t."""
-    return any(name.partition(" ")[0].lower() == "t" for name in _listing(path, is_v5=is_v5))
-
-
 def advice_for_arrays(_names: Sequence[str] = ()) -> str:
     """Advise about a file whose arrays have other names."""
     return "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
-
-
-def _table(path: Path, columns: Mapping[str, Scalars], *, recover: bool) -> Table:
-    """Columns of one length, all finite."""
-    lengths = {name: len(values) for name, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise DataFormatError(path, f"expected arrays of one length, found {told}")
-    is_finite = np.isfinite(np.column_stack(list(columns.values()))).all(axis=1)
-    if not is_finite.all():
-        row = int(np.argmin(is_finite))
-        name = next(name for name, values in columns.items() if not np.isfinite(values[row]))
-        found = DataFormatError(path, "expected a finite number, found NaN or infinity", line=row + 1, column=name)
-        if not recover or not is_finite.any():
-            message = f"{found.message}; --recover leaves such rows out"
-            raise DataFormatError(path, message, line=found.line, column=name)
-        left_out = many(int((~is_finite).sum()), "row")
-        logger.warning("%s: left out %s that cannot be read, the first: %s", path, left_out, found)
-    numbers = np.flatnonzero(is_finite)
-    return Table(path, tuple(columns), {k: v[numbers] for k, v in columns.items()}, numbers + 1, ())
 
 
 def _column(path: Path, name: str, array: np.ndarray) -> np.ndarray:

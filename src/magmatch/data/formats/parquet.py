@@ -16,10 +16,9 @@ from magmatch.data.dataframes import NO_ROW_NUMBER
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, choose_columns
-from magmatch.data.tables.gzipped import plain_file
-from magmatch.data.tables.nanoseconds import seconds_of, seconds_of_column
-from magmatch.data.tables.table import Table
-from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.table import Table, table_of_columns
+from magmatch.data.tables.text import plain_file, read_bytes
+from magmatch.data.tables.times import seconds_of_column, seconds_of_dates
 from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.errors import DataFormatError, MagmatchError, import_extra
 from magmatch.typing import Scalars
@@ -41,9 +40,8 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         found = _columns(Path(path), file, list(wanted), pa, {clock: UNITS_PER_SECOND[layout.time_unit]})
         about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
-    n_rows = len(next(iter(found.values()), ()))
     columns = {name.lower(): values for name, values in found.items()}
-    return chosen.of(Table(Path(path), tuple(names), columns, np.arange(1, n_rows + 1), comments))
+    return replace(chosen.of(table_of_columns(path, columns, comments=comments)), names=tuple(names))
 
 
 def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:
@@ -53,10 +51,7 @@ def _index_of_dates(path: Path, file: Any, pa: Any) -> dict[str, str]:
         if not name.startswith("__index_level_"):
             continue
         is_date, is_whole = pa.types.is_timestamp(kind), pa.types.is_integer(kind)
-        try:
-            values = _columns(path, file, [name], pa, {})[name] if is_date or is_whole else np.zeros(2)
-        except DataFormatError:  # a date is missing
-            values = np.zeros(2)
+        values = _columns(path, file, [name], pa, {})[name] if is_date or is_whole else np.zeros(2)
         if is_date and (np.diff(values) > 0).all():
             return {name: "t"}
         if is_whole and np.abs(values).max() < NO_ROW_NUMBER:
@@ -87,7 +82,7 @@ def read_other_columns(
                 continue
             if ours == "t":
                 times = values
-            else:
+            elif np.isfinite(values).all():
                 columns[name] = values
     return times, columns
 
@@ -114,7 +109,7 @@ def _columns(
     table = file.read(columns=names, use_threads=False)
     if not table.num_rows:
         raise DataFormatError(path, "holds no rows")
-    return {name: _numbers(path, name, table.column(name), pa, per_second.get(name, 1.0)) for name in names}
+    return {name: _numbers(table.column(name), pa, per_second.get(name, 1.0)) for name in names}
 
 
 def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
@@ -124,21 +119,11 @@ def _require_numbers(path: Path, name: str, kind: Any, pa: Any) -> None:
         raise DataFormatError(path, f"expected a column of numbers, found {str(kind)[:60]}; {advice}", column=name)
 
 
-def _numbers(path: Path, name: str, column: Any, pa: Any, per_unit: float) -> Scalars:
-    """A column as float64, all of it finite; numbers that count parts of a unit are divided, no stamps."""
-    if column.null_count:
-        row = int(np.argmin(column.is_valid().to_numpy()))
-        raise DataFormatError(path, "expected a number, found null", line=row + 1, column=name)
-    if pa.types.is_timestamp(column.type):
-        # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
-        stamps = column.to_numpy().astype("datetime64[ns]").astype(np.int64)
-        return seconds_of(stamps.tolist())
-    values = seconds_of_column(column.to_numpy(), per_unit)
-    wrong = np.flatnonzero(~np.isfinite(values))
-    if len(wrong):
-        message = f"expected a finite number, found {values[wrong[0]]}"
-        raise DataFormatError(path, message, line=int(wrong[0]) + 1, column=name)
-    return values
+def _numbers(column: Any, pa: Any, per_unit: float) -> Scalars:
+    """A column as float64, NaN where it has none; numbers that count parts of a unit are divided, no stamps."""
+    # NumPy stamps hold whole nanoseconds; Python's own stop at microseconds.
+    values = column.to_numpy()
+    return seconds_of_dates(values) if pa.types.is_timestamp(column.type) else seconds_of_column(values, per_unit)
 
 
 def write_parquet(survey: Survey, path: str | Path) -> None:

@@ -22,11 +22,10 @@ from magmatch.data.formats.phones.containers import (
     refuse_strays,
 )
 from magmatch.data.formats.phones.tables import is_phone_header
-from magmatch.data.tables.gzipped import is_gzip
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
-from magmatch.data.tables.text import is_folder, read_bytes, text_lines
+from magmatch.data.tables.text import is_folder, is_gzip, read_bytes, text_lines
 from magmatch.data.tables.text_rows import delimiter_of, is_row, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.errors import DataFormatError
@@ -154,7 +153,7 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     if (len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells))) or _names_poses(path, first, mark):
         return "tum"
     above = itertools.takewhile(lambda line: not line or line.startswith("#"), lines)
-    is_euroc = any(_is_euroc_header(line) for line in above)
+    is_euroc = any(line.lstrip("# \t").lower().startswith("timestamp") and "," in line for line in above)
     return "euroc" if is_euroc and all(map(is_number, first.rstrip(", \t").split(","))) else "csv"
 
 
@@ -222,8 +221,3 @@ def _sniff_json(path: str | Path) -> FileKind:
     found = f"with schema {schema!r}" if schema else "without a schema"
     message = f"is JSON {found}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
     raise DataFormatError(path, message)
-
-
-def _is_euroc_header(line: str) -> bool:
-    """Whether a comment may be the header of an EuRoC file."""
-    return line.lstrip("# \t").lower().startswith("timestamp") and "," in line

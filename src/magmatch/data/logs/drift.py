@@ -13,7 +13,7 @@ from magmatch.data.formats.sniff import sniff
 from magmatch.data.logs.decode import MalformedError, decode
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.read import list_topics
-from magmatch.data.tables.gzipped import plain_file
+from magmatch.data.tables.text import plain_file
 from magmatch.data.units import STATED_OVER
 from magmatch.geometry import path_walked
 from magmatch.typing import Points, Scalars, Tensors

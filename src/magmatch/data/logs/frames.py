@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.logs.messages import Entries, Frames
 from magmatch.data.logs.streams import in_order
-from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.times import seconds_of
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.typing import Mask, Matrix, Scalars

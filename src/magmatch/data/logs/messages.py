@@ -11,7 +11,7 @@ import numpy as np
 
 from magmatch.data.logs.decode import MalformedError, decode, no_json
 from magmatch.data.logs.log import Channel, printable
-from magmatch.data.tables.nanoseconds import SECOND
+from magmatch.data.tables.times import SECOND
 from magmatch.typing import Indices, Matrix
 
 # Where in a message its position and orientation stand, or its vector.

@@ -68,18 +68,16 @@ def find_mount(
 
 def with_description(log: Log, topics: Sequence[Topic], tree: FrameTree) -> FrameTree:
     """The tree, with the fixed joints of the robot's description (URDF) where tf does not state them."""
-    wanted = {topic.channel for topic in topics if _is_description(topic)}
+    wanted = {
+        topic.channel for topic in topics
+        if topic.name.rsplit("/", 1)[-1] == DESCRIPTION and topic.type == STRING and topic.encoding in ENCODINGS
+    }  # fmt: skip
     joints: dict[Frames, RigidTransform] = {}
     for channel, _, payload in log.messages({c.topic for c in wanted}) if wanted else ():
         if channel in wanted:
             with suppress(MalformedError, AttributeError):
                 joints |= _fixed_joints(log.path, str(decode(channel, payload).data))
     return replace(tree, static={edge: T for edge, T in joints.items() if edge not in tree.moving} | tree.static)
-
-
-def _is_description(topic: Topic) -> bool:
-    name = topic.name.rsplit("/", 1)[-1]
-    return bool(name == DESCRIPTION and topic.type == STRING and topic.encoding in ENCODINGS and topic.count)
 
 
 def _unread(log: Log, topics: Sequence[Topic]) -> dict[Frames, Entries]:

@@ -11,7 +11,7 @@ import numpy as np
 from magmatch.data.formats.channels import MAX_CHANNELS, Channels, TimeSeries
 from magmatch.data.logs.decode import ENCODINGS, decode
 from magmatch.data.logs.log import Log, Topic, printable
-from magmatch.data.tables.nanoseconds import seconds_of
+from magmatch.data.tables.times import seconds_of
 
 logger = logging.getLogger(__name__)
 

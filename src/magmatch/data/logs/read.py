@@ -22,7 +22,7 @@ from magmatch.data.logs.mount import find_mount, is_static, merged, trees, with_
 from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import TopicStream, in_order, read_streams, settle_clock
-from magmatch.data.tables.gzipped import plain_file
+from magmatch.data.tables.text import plain_file
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError

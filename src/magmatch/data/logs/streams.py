@@ -102,12 +102,16 @@ def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream
     if unstamped:
         logger.warning("%s: the headers of %s have no stamps; log times are used", path, ", ".join(unstamped))
         return [stream.changed(lambda part: replace(part, stamp_ns=part.log_ns)) for stream in streams]
-    kept = [stream.changed(lambda part: part.at(_has_stamp(part))) for stream in streams]
+    # Zero stands for no stamp, unless the message was logged at zero too: simulated clocks begin there.
+    kept = [
+        s.changed(lambda part: part.at((part.stamp_ns > 0) | ((part.stamp_ns | part.log_ns) == 0))) for s in streams
+    ]
     for before, after in zip(streams, kept, strict=True):
         if len(after) < len(before):
             n = len(before) - len(after)
             logger.warning("%s: left out %d messages of %s without a stamp", path, n, before.topic.name)
-    delays = {stream.topic.name: _delay_ns(stream) for stream in kept}
+    behind = {s.topic.name: [part.log_ns - part.stamp_ns for part in s.entries.values()] for s in kept}
+    delays = {name: float(np.median(np.concatenate(parts))) if parts else 0.0 for name, parts in behind.items()}
     odd = {name: delay for name, delay in delays.items() if abs(delay) > ODD_DELAY_NS}
     for name, delay in odd.items():
         logger.warning(
@@ -164,13 +168,3 @@ def _is_logged_twice(entries: Entries) -> bool:
     n_turns = int(np.diff(is_after[order]).sum())
     # A piece that belongs between two others makes two turns.
     return bool((n_turns - 2) * np.median(np.diff(entries.log_ns[order])) > MAX_STEP_BACK_NS)
-
-
-def _has_stamp(part: Entries) -> np.ndarray:
-    """Zero stands for no stamp, unless the message was logged at zero too: simulated clocks begin there."""
-    return np.asarray((part.stamp_ns > 0) | ((part.stamp_ns == 0) & (part.log_ns == 0)))
-
-
-def _delay_ns(stream: TopicStream) -> float:
-    delays = [part.log_ns - part.stamp_ns for part in stream.entries.values()]
-    return float(np.median(np.concatenate(delays))) if delays else 0.0

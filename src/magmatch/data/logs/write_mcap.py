@@ -8,7 +8,7 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
-from magmatch.data.tables.nanoseconds import SECOND, nanoseconds_of
+from magmatch.data.tables.times import SECOND, nanoseconds_of
 from magmatch.errors import SurveyError, import_extra
 from magmatch.number_text import told
 

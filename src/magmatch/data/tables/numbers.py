@@ -11,10 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from magmatch.data.tables.dates import seconds_of_date
-from magmatch.data.tables.nanoseconds import seconds_of_text
 from magmatch.data.tables.number_marks import Decimal, Doubt, decimal_of, is_number, number_of_text
 from magmatch.data.tables.text_rows import listed
+from magmatch.data.tables.times import seconds_of_date, seconds_of_text
 from magmatch.errors import DataFormatError
 from magmatch.number_text import many
 from magmatch.typing import Indices, Matrix

@@ -2,6 +2,7 @@
 """Text tables of numbers: read by column name, faults found by line and column, written whole or not at all."""
 
 import csv
+import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from io import TextIOWrapper
@@ -12,12 +13,14 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.number_marks import Decimal
-from magmatch.data.tables.numbers import NumberReader, decimal_of_cells
+from magmatch.data.tables.numbers import RECOVER, NumberReader, decimal_of_cells
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import Rows, advice_on_comments, listed, names_of, numbered_names, rows_of
 from magmatch.errors import DataFormatError
-from magmatch.number_text import exact, told
+from magmatch.number_text import exact, many, told
 from magmatch.typing import Indices, Matrix, Scalars
+
+logger = logging.getLogger(__name__)
 
 # Rows that are written at a time.
 CHUNK_ROWS = 20_000
@@ -141,6 +144,33 @@ def _names(path: str | Path, rows: Rows, wanted: Wanted) -> tuple[tuple[str, ...
     if wanted.numbered:
         return numbered_names(cells, wanted.numbered)
     return names_of(path, cells, rows.at[0] + 1, wanted.known, rows.comments, wanted.advise), True
+
+
+def table_of_columns(
+    path: str | Path, columns: Mapping[str, Scalars], *, recover: bool | None = None, comments: tuple[str, ...] = ()
+) -> Table:
+    """Table of columns of one length, by the file's names; all finite. `recover` as in `Wanted`."""
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise DataFormatError(path, f"expected arrays of one length, found {found}")
+    is_finite = np.isfinite(np.column_stack([*columns.values(), np.zeros(max(lengths.values(), default=0))])).all(
+        axis=1
+    )
+    if not is_finite.all():
+        row = int(np.argmin(is_finite))
+        name = next(name for name, values in columns.items() if not np.isfinite(values[row]))
+        message = "expected a finite number, found none, NaN or infinity"
+        if recover and is_finite.any():
+            left_out = many(int((~is_finite).sum()), "row")
+            words = "%s: left out %s that cannot be read, the first: line %d, column '%s': %s"
+            logger.warning(words, path, left_out, row + 1, name, message)
+        else:
+            also = "" if recover is None else RECOVER
+            raise DataFormatError(path, message + also, line=row + 1, column=name)
+    numbers = np.flatnonzero(is_finite)
+    kept = {name: values[numbers] for name, values in columns.items()}
+    return Table(Path(path), tuple(columns), kept, numbers + 1, comments)
 
 
 def write_table(path: str | Path, columns: Mapping[str, Scalars | list[str]]) -> None:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from magmatch.data.tables.dates import seconds_of_date
 from magmatch.data.tables.header_names import words_of
 from magmatch.data.tables.number_marks import is_number
+from magmatch.data.tables.times import seconds_of_date
 from magmatch.errors import DataFormatError
 
 # What spreadsheets write where a formula has no value (English and German): no comment.
