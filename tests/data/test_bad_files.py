@@ -14,7 +14,7 @@ import pytest
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.trajectory import Trajectory
-from magmatch.errors import DataFormatError, MagmatchError, SurveyError
+from magmatch.errors import DataFormatError, SurveyError
 from magmatch.store import dumps
 
 HEADER = "x,y,z,bx,by,bz"
@@ -52,27 +52,19 @@ TIMES = list(np.arange(12) / 10)
 
 TABLE_CASES = {
     "empty file": ("", ["empty"]),
-    "white space only": (" \n\n\t\n", ["white space"]),
     "comments only": ("# x,y,z\n\n# nothing\n", ["only comments"]),
     "header only": (table(), ["header row but no samples"]),
-    "header and blank lines": (table("", "", ",,,,,"), ["header row but no samples"]),
     "no header": ("\n".join(rows()), ["line 1", "header row", "found numbers"]),
     "header commented out": ("# " + HEADER + "\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
-    "other names commented out": ("#x0,x1,x2,y0,y1,y2\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
     "prose": ("Dear reader,\nthis is a letter.\n", ["expected columns", "bx", "found dear reader"]),
     "missing column": (table(*rows(), header="x,y,z,bx,by,up"), ["missing bz", "found x, y, z, bx, by, up"]),
-    "missing several": (table(*rows(), header="e,n,u,bx,by,bz"), ["missing x, y, z", "found e, n, u"]),
     "unit in a name": (table(*rows(), header="x,y,z,bx [uT],by,bz"), ["missing bx", "bx [ut]"]),
     "log without positions": (table("0,1,2,3", header="t,bx,by,bz"), ["missing x, y, z", "--trajectory"]),
     "duplicate column": (table(*rows(), header="x,y,z,bx,bx,bz"), ["line 1", "column 'bx'", "2 times"]),
-    "duplicate by case": (table(*rows(), header="x,y,z,bx,BX,bz"), ["line 1", "column 'bx'"]),
     "text in a number": (with_row(3, "0,0,0,fast,0,0"), ["line 4", "column 'bx'", "expected a number", "'fast'"]),
-    "text in the last row": (with_row(12, "0,0,0,1e-6,1e-6,oops"), ["line 13", "column 'bz'", "'oops'"]),
     "unit row under the header": (table("m,m,m,T,T,T", *rows()), ["line 2", "column 'x'", "'m'"]),
-    "unit behind a number": (with_row(2, "0 m,0,0,1e-6,0,0"), ["line 3", "column 'x'", "'0 m'"]),
     "comment behind a row": (with_row(2, "0,0,0,1e-6,0,0 # corner"), ["line 3", "column 'bz'", "# corner"]),
     "empty cell": (with_row(5, "0,,0,1e-6,0,0"), ["line 6", "column 'y'", "empty cell"]),
-    "blank cell": (with_row(5, "0, ,0,1e-6,0,0"), ["line 6", "column 'y'", "empty cell"]),
     "short row": (with_row(7, "0,0,0,1e-6"), ["line 8", "expected 6 cells", "found 4"]),
     "long row": (with_row(7, "0,0,0,1e-6,0,0,9"), ["line 8", "expected 6 cells", "found 7"]),
     "commas and points": (
@@ -84,8 +76,6 @@ TABLE_CASES = {
     "another delimiter": (table(*rows(), header="x|y|z|bx|by|bz"), ["expected columns", "found x|y|z|bx|by|bz"]),
     "delimiter changes": (with_row(4, "0;0;0;1e-6;0;0"), ["line 5", "expected 6 cells", "found 1"]),
     "nan": (with_row(9, "0,0,0,nan,0,0"), ["line 10", "column 'bx'", "finite", "'nan'"]),
-    "infinity": (with_row(9, "0,0,-inf,1e-6,0,0"), ["line 10", "column 'z'", "finite", "'-inf'"]),
-    "overflow": (with_row(9, "0,0,1e999,1e-6,0,0"), ["line 10", "column 'z'", "finite"]),
     "nan behind comments": ("# a\n\n# b\n" + with_row(1, "nan,0,0,1e-6,0,0"), ["line 5", "column 'x'"]),
     "half a quaternion": (
         table(*(f"{r},0,0" for r in rows()), header=HEADER + ",qx,qy"),
@@ -93,14 +83,10 @@ TABLE_CASES = {
     ),
     "zero quaternion": (turned("0,0,0,0"), ["line 6", "zero quaternion"]),
     "huge quaternion": (turned("0,0,0,1e200"), ["line 6", "one of length inf"]),
-    "long quaternion": (turned("1,2,3,4"), ["line 6", "unit quaternion", "5.477"]),
-    "nan quaternion": (turned("0,0,nan,1"), ["line 6", "column 'qz'"]),
     "time repeats": (timed([*TIMES[:5], TIMES[4], *TIMES[6:]]), ["line 7", "column 't'", "time repeats", "0.4"]),
     "time runs backward": (timed([*TIMES[:5], 0.0, *TIMES[6:]]), ["line 7", "column 't'", "backward", "0 after 0.4"]),
-    "nan time": (timed([*TIMES[:5], np.nan, *TIMES[6:]]), ["line 7", "column 't'", "finite"]),
     "latin-1": ((HEADER + ",ort\n" + rows()[0] + ",Süd\n").encode("latin-1"), ["line 2", "not UTF-8", "0xfc"]),
     "zeros behind the rows": (table(*rows()).encode() + bytes(64), ["line 14", "NUL"]),
-    "random bytes": (bytes(range(128, 256)) * 8, ["not UTF-8"]),
     "damaged frame note": ("# magmatch.survey/1 {oops\n" + table(*rows()), ["magmatch.survey/1", "{oops"]),
     "impossible accuracy note": ('# magmatch.survey/1 {"pose_sd": -1}\n' + table(*rows()), ["pose_sd"]),
 }  # fmt: skip
@@ -276,23 +262,3 @@ def test_unreadable_file_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "open", refuse)  # file modes do not stop the superuser, who may run the tests
     with pytest.raises(DataFormatError, match="no permission"):
         read_survey(path)
-
-
-def read_or_refuse(path):
-    try:
-        return read_survey(path), ""
-    except MagmatchError as error:
-        return None, str(error)
-
-
-def test_any_bytes_at_all_end_in_a_survey_or_a_known_error(tmp_path, rng):
-    good = table(*rows()).encode()
-    for trial in range(300):
-        damaged = bytearray(good)
-        for _ in range(rng.integers(1, 6)):
-            damaged[rng.integers(len(damaged))] = rng.integers(256)
-        if trial % 3 == 0:
-            damaged = damaged[: rng.integers(len(damaged))]
-        survey, message = read_or_refuse(write(tmp_path / "damaged.csv", bytes(damaged)))
-        assert "\n" not in message
-        assert survey is None or np.isfinite(survey.field).all()

@@ -51,18 +51,10 @@ def at(name, row, value):
 
 COLUMNS = {
     "a missing column": (lambda: without("bz"), "missing bz"),
-    "no position": (lambda: without("x"), "missing x"),
     "NaN": (lambda: at("by", 6, np.nan), "line 7, column 'by': expected a finite number"),
-    "infinity": (lambda: at("z", 0, -np.inf), "line 1, column 'z': expected a finite number"),
     "null": (lambda: good() | {"x": [0.0] * 4 + [None] + [1.0] * (N - 5)}, "line 5, column 'x'"),
     "text": (lambda: good() | {"x": ["a"] * N}, "column 'x': expected a column of numbers, found string"),
-    "booleans": (lambda: good() | {"x": [True] * N}, "found bool"),
-    "lists": (lambda: good() | {"x": [[1.0]] * N}, "found list"),
-    "structures": (lambda: good() | {"x": [{"a": 1.0}] * N}, "found struct"),
-    "bytes": (lambda: good() | {"bx": [b"1"] * N}, "found binary"),
-    "a column twice": (lambda: good() | {"X": np.zeros(N)}, "the column appears 2 times"),
     "time that repeats": (repeated, "column 't': time repeats"),
-    "half a quaternion": (lambda: good() | {"qx": np.zeros(N)}, "half a quaternion"),
     "zero quaternions": (lambda: good() | {f"q{k}": np.zeros(N) for k in "xyzw"}, "zero quaternion"),
     "no rows": (lambda: {key: value[:0] for key, value in good().items()}, "holds no rows"),
 }

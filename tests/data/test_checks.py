@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What no survey can be is refused; what is odd is said; what is ordinary passes in silence."""
 
-import json
 import logging
 import re
 from dataclasses import replace
@@ -10,14 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 
 from magmatch.data.checks import check_survey
 from magmatch.data.describe import describe
-from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
-from magmatch.data.units import TESLA_PER_UNIT, field_text, likely_field_unit
+from magmatch.data.units import TESLA_PER_UNIT, likely_field_unit
 from magmatch.errors import SurveyError
 
 
@@ -124,15 +121,6 @@ def test_a_sensor_that_always_reads_the_same_is_said(room):
     assert all(len(number) < 6 for one in warnings for number in re.findall(r"\d+", one)), warnings
 
 
-@pytest.mark.parametrize("declared", ["survey", "sensor"])
-def test_field_in_the_other_frame_than_declared_is_said(declared, room):
-    inverse = declared == "survey"  # sensor vectors taken for survey vectors, or survey vectors turned once more
-    wrong = replace(room, field=room.orientations.apply(room.field, inverse=inverse))
-    (warning,) = check_survey(wrong, SurveyFormat(field_frame=declared))
-    assert f"--field-frame {'sensor' if declared == 'survey' else 'survey'}" in warning
-    assert check_survey(room, SurveyFormat(field_frame=declared)) == []
-
-
 def test_warnings_reach_the_log_with_the_file_name(room, tmp_path, caplog):
     path = tmp_path / "flat.csv"
     replace(room, positions=room.positions * [1.0, 1.0, 0.0]).save(path)
@@ -159,18 +147,6 @@ def test_every_median_between_the_bounds_is_accepted(median, seed):
     check_survey(Survey(rng.uniform(0, 3, (31, 3)), direction * np.clip(magnitude, None, 0.09)[:, None]))
 
 
-def test_field_of_the_published_simulation_is_accepted(rng):
-    field = rng.uniform(-10e-3, 10e-3, (500, 3)) + rng.normal(0, 10e-3, (500, 3))  # +-100 G and 0.01 T of noise
-    check_survey(Survey(rng.uniform(0, 3, (500, 3)), field))
-
-
-@pytest.mark.parametrize(
-    ("tesla", "text"), [(48.25e-6, "48.2 uT"), (48.0, "48 T"), (0.048, "48 mT"), (3e-10, "0.3 nT"), (0.0, "0 nT")]
-)
-def test_field_text_names_a_fitting_unit(tesla, text):
-    assert field_text(tesla) == text
-
-
 def test_description_holds_counts_extent_time_and_doubts(room):
     gapped = replace(room, times=room.times + 60 * (room.times > 10), pose_sd=0.02)
     about = describe(gapped)
@@ -183,8 +159,3 @@ def test_description_holds_counts_extent_time_and_doubts(room):
     assert about["time"]["rate"] == pytest.approx(2.0)
     np.testing.assert_allclose(about["field"]["mean"], room.field.mean(axis=0))
     assert about["warnings"] == check_survey(gapped)
-
-
-def test_description_is_ready_for_json(room):
-    timeless = Survey(room.positions, room.field, orientations=Rotation.identity(len(room)))
-    assert json.loads(json.dumps(describe(timeless)))["time"] is None

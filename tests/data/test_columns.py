@@ -20,7 +20,6 @@ XYZ = np.random.default_rng(0).uniform(0, 3, (N, 3)).round(3)
 FIELD = np.random.default_rng(1).normal([20, 3, -45], 1, (N, 3)).round(3)
 ROWS = np.column_stack([T, XYZ, FIELD])
 NAMED = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7"
-POSES = "".join(f"{t:.3f} {t} 0 {t * t} 0 0 0 1\n" for t in np.arange(-0.5, 3, 0.1))
 
 
 def write(path, header, rows, mark=","):
@@ -76,13 +75,6 @@ def test_one_column_cannot_be_two_things(door):
         door(own, {"x": "x", "y": "x"})
 
 
-def test_the_commonest_table_of_a_magnetometer_is_read_with_a_trajectory(tmp_path):
-    path = write(tmp_path / "mag.csv", "Time,X,Y,Z", np.column_stack([T, FIELD]))
-    (tmp_path / "p.tum").write_text(POSES)
-    survey = read(path, "t=Time,bx=X,by=Y,bz=Z", trajectory=tmp_path / "p.tum")
-    np.testing.assert_allclose(survey.field, FIELD * 1e-6)
-
-
 # Numbers and constants
 
 
@@ -98,11 +90,6 @@ def test_columns_of_a_table_without_header_are_stated_by_number(mark, tmp_path):
 def test_numbers_count_columns_below_a_header_too(header, tmp_path):
     stated = NAMED if header[0] != "0" else "t=0,x=1,y=2,z=3,bx=4,by=5,bz=6"  # there a number is a name
     np.testing.assert_array_equal(read(write(tmp_path / "s.csv", header, ROWS), stated).positions, XYZ)
-
-
-def test_eight_columns_are_no_trajectory_where_columns_are_stated(tmp_path):
-    rows = np.column_stack([ROWS, np.zeros(N)])
-    np.testing.assert_array_equal(read(write(tmp_path / "s.txt", "", rows, " "), NAMED).field, FIELD * 1e-6)
 
 
 def test_other_columns_without_header_stay_beside_the_samples(tmp_path):
@@ -173,12 +160,6 @@ def test_dates_are_in_seconds_whatever_the_unit_of_time(door):
     dates = pd.to_datetime(1_700_000_000 + np.arange(N), unit="s")
     own = {"t": dates} | dict(zip(["x", "y", "z", "bx", "by", "bz"], ROWS[:, 1:].T, strict=True))
     np.testing.assert_array_equal(door(own, {}).times, 1_700_000_000 + np.arange(N))
-
-
-def test_dates_do_not_depend_on_the_unit_that_is_stated(tmp_path):
-    rows = [[f"2026-05-01T10:00:{i:02d}Z", *ROWS[i, 1:]] for i in range(N)]
-    path = write(tmp_path / "s.csv", "t,x,y,z,bx,by,bz", rows)
-    np.testing.assert_array_equal(read(path, time_unit="ms").times, read(path).times)
 
 
 def test_a_rate_gives_samples_their_times(tmp_path, caplog):

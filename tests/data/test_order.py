@@ -43,12 +43,3 @@ def test_samples_in_no_order_have_none(lanes):
 @pytest.mark.parametrize("n", [20, 2000])
 def test_points_at_random_in_a_volume_a_line_or_an_area_are_no_path(size, n):
     assert not has_order(survey(np.random.default_rng(n).uniform(0, 1, (n, 3)) * size))
-
-
-def test_times_make_an_order(lanes):
-    p = np.random.default_rng(1).permutation(lanes)
-    assert has_order(survey(p, times=np.arange(float(len(p)))))
-
-
-def test_one_sample_is_no_path():
-    assert not has_order(survey(np.zeros((1, 3))))

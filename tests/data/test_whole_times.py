@@ -92,18 +92,6 @@ def test_whole_numbers_and_dates_of_pandas(dtype):
     np.testing.assert_array_equal(Survey.from_dataframe(frame, "uT", time_unit="ns").times, SECONDS)
 
 
-def test_whole_numbers_of_polars():
-    frame = pytest.importorskip("polars").DataFrame(columns() | {"t": STAMPS})
-    np.testing.assert_array_equal(Survey.from_dataframe(frame, "uT", time_unit="ns").times, SECONDS)
-
-
-def test_whole_numbers_of_xarray():
-    xr = pytest.importorskip("xarray")
-    dataset = xr.Dataset({name: ("n", values) for name, values in columns().items()}, {"t": ("n", STAMPS)})
-    dataset["t"].attrs["units"] = "ns"
-    np.testing.assert_array_equal(Survey.from_xarray(dataset, "uT").times, SECONDS)
-
-
 def test_euroc_and_trajectories_that_state_nanoseconds(tmp_path):
     rows = [f"{t},{i},0,0,1,0,0,0" for i, t in enumerate(STAMPS.tolist())]
     (tmp_path / "e.csv").write_text("\n".join(["#timestamp [ns],x,y,z,qw,qx,qy,qz", *rows]))

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
-from magmatch.data.trajectory import Trajectory
 from magmatch.data.write import SURVEY_WRITERS
 from magmatch.errors import SurveyError
 
@@ -42,13 +40,6 @@ def test_csv_parquet_and_mcap_read_back_as_one_survey_bit_for_bit(walk, tmp_path
     assert "magmatch.data.logs" not in caplog.text
 
 
-def test_parquet_is_read_by_pandas(walk, tmp_path):
-    pd = pytest.importorskip("pandas")
-    frame = pd.read_parquet(write(walk, tmp_path / "walk.parquet"))
-    assert list(frame) == ["t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw"]
-    np.testing.assert_array_equal(frame[["bx", "by", "bz"]].to_numpy(), walk.field)
-
-
 def test_mcap_is_read_by_the_mcap_library_and_typed_by_rosbags(walk, tmp_path):
     pytest.importorskip("rosbags")
     from mcap.reader import make_reader
@@ -77,25 +68,11 @@ def test_mcap_is_read_by_the_mcap_library_and_typed_by_rosbags(walk, tmp_path):
     assert {m.header.frame_id for _, m in found["/magmatch/pose"]} == {"hall"}
 
 
-def test_a_clock_that_begins_at_zero_keeps_its_first_sample(walk, tmp_path, caplog):
-    survey = Survey(walk.positions, walk.field, np.arange(60.0) / 8, walk.orientations, frame="hall")
-    back = read_survey(write(survey, tmp_path / "walk.mcap"))
-    np.testing.assert_array_equal(back.times, survey.times)
-    np.testing.assert_array_equal(back.field, survey.field)
-    assert "stamp" not in caplog.text
-
-
 def test_positions_without_orientations_go_through_mcap(walk, tmp_path):
     bare = Survey(walk.positions, walk.field, walk.times)
     survey = read_survey(write(bare, tmp_path / "bare.mcap"))
     assert survey.orientations is None
     np.testing.assert_array_equal(survey.field, walk.field)
-
-
-def test_tum_holds_the_poses(walk, tmp_path):
-    poses = Trajectory.load(write(walk, tmp_path / "walk.tum"))
-    np.testing.assert_array_equal(poses.times, walk.times)
-    np.testing.assert_array_equal(poses.positions, walk.positions)
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".tum"])
@@ -134,9 +111,3 @@ def test_ply_holds_its_numbers_in_double_precision(walk, tmp_path):
     assert b"property double bz" in head
     rows = np.frombuffer(body, "<f8").reshape(len(walk), 6)
     np.testing.assert_array_equal(rows, np.hstack([walk.positions, walk.field]))
-
-
-def test_sensor_frame_is_honoured_when_stated(walk, tmp_path):
-    """What stands in the survey's frame can still be declared to be the sensor's."""
-    survey = read_survey(write(walk, tmp_path / "walk.mcap"), SurveyFormat(field_frame="sensor"))
-    np.testing.assert_allclose(survey.field, survey.orientations.apply(walk.field), rtol=1e-12)

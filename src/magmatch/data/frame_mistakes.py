@@ -63,10 +63,10 @@ class Turned:
     carried_by: Rotation
     any_axes: bool = False  # whether the readings' axes may be others, too
 
-    def subset(self, rows: slice) -> "Turned":
-        """Keep some rows."""
-        turned_by = None if self.turned_by is None else self.turned_by[rows]
-        return Turned(self.readings[rows], turned_by, self.carried_by[rows], self.any_axes)
+    def subset(self, read: slice, posed: slice) -> "Turned":
+        """Keep some readings, and as many turns of them."""
+        turned_by = None if self.turned_by is None else self.turned_by[posed]
+        return Turned(self.readings[read], turned_by, self.carried_by[posed], self.any_axes)
 
     def mean(self, axes: Matrix) -> Scalars:
         """Mean vector in the survey's frame, (3,), with the readings' axes so changed."""
@@ -141,8 +141,7 @@ def _shifted(points: Points, declared: Turned, lag: int) -> tuple[Points, dict[s
     """Samples whose readings came so many samples later than their poses."""
     n = len(points)
     read, posed = slice(max(lag, 0), n + min(lag, 0)), slice(max(-lag, 0), n - max(lag, 0))
-    turned = declared.turned_by[posed] if declared.turned_by is not None else None
-    return points[posed], {DECLARED: Turned(declared.readings[read], turned, declared.carried_by[posed])}
+    return points[posed], {DECLARED: replace(declared.subset(read, posed), any_axes=False)}
 
 
 def _is_worse(one: FrameMistake, found: Found, parts: "Sequence[_Judged]", *, free: bool) -> bool:
@@ -155,7 +154,9 @@ def _parts(points: Points, conventions: Mapping[str, Turned]) -> "list[_Judged]"
     """The scatter in each part of a survey."""
     ends = [len(points) * k // N_PARTS for k in range(N_PARTS + 1)]
     return [
-        _Judged.of(points[start:end], {name: one.subset(slice(start, end)) for name, one in conventions.items()})
+        _Judged.of(
+            points[start:end], {name: one.subset(*2 * [slice(start, end)]) for name, one in conventions.items()}
+        )
         for start, end in pairwise(ends)
     ]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
-from magmatch.data.formats.channels import read_channels
+from magmatch.data.formats.channels import channels_at, read_channels
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import EUROC_FIELD, read_euroc, with_poses
@@ -83,11 +83,11 @@ def read_survey_and_channels(
     layout = format or SurveyFormat()
     if sniff(path) != "log":
         survey = read_survey(path, layout)
-        return survey, read_channels(path, layout).at(survey.times, len(survey))
+        return survey, channels_at(read_channels(path, layout), survey.times, len(survey))
     recording = read_log(path, layout, with_channels=True)
     survey, used = _joined(recording, layout)
     survey = _checked(path, replace(survey, name=Path(path).name), used)
-    return survey, recording.channels.at(survey.times, len(survey))
+    return survey, channels_at(recording.channels, survey.times, len(survey))
 
 
 def survey_of_phone(log: PhoneLog, layout: SurveyFormat, trajectory: Trajectory) -> Survey:

@@ -17,7 +17,7 @@ from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import plain_text
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
-from magmatch.data.tables.text_rows import require_stated
+from magmatch.data.tables.text_rows import listed
 from magmatch.data.units import (
     METRE_PER_UNIT,
     TESLA_PER_UNIT,
@@ -84,7 +84,9 @@ def choose_columns(
         if ours not in constants and theirs.setdefault(text, ours) != ours:
             msg = f"columns: expected a column of its own for {ours}, found '{text}' for {theirs[text]} too"
             raise ConfigurationError(msg)
-    require_stated(path, names, theirs)
+    if missing := next((name for name in theirs if name not in there), None):
+        message = f"expected a column '{missing}' for {theirs[missing]}, found {listed(names)}"
+        raise DataFormatError(path, message)
     chosen = theirs | _guessed([name for name in there if name not in theirs], stated, has_poses=has_poses)
     for name in chosen:
         if there.count(name) > 1:

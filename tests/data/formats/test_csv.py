@@ -15,7 +15,6 @@ from magmatch.data.formats.csv import read_points, read_survey_csv
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
-from magmatch.data.tables.table import Wanted, read_table
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
@@ -76,15 +75,6 @@ def test_the_first_fault_is_named_whatever_a_later_one_is(tmp_path):
         read_survey(path)
 
 
-def test_cell_by_cell_reading_gives_the_same_numbers_as_reading_at_once(tmp_path, rng):
-    values = rng.normal(size=(200, 3)) * 10.0 ** rng.integers(-300, 300, (200, 3))
-    lines = [",".join(map(repr, row)) for row in values.tolist()]
-    at_once = read_table(write(tmp_path / "a.csv", "\n".join(["x,y,z", *lines])), Wanted(("x", "y", "z")))
-    slowly = read_table(write(tmp_path / "b.csv", "\n".join(["x,y,z", *lines, "0,0,0,"])), Wanted(("x", "y", "z")))
-    np.testing.assert_array_equal(at_once.stack("x", "y", "z"), values)
-    np.testing.assert_array_equal(slowly.stack("x", "y", "z")[:-1], values)
-
-
 @pytest.mark.parametrize("unit", TESLA_PER_UNIT)
 def test_field_unit_only_scales_the_numbers(unit, tmp_path):
     path = write(tmp_path / "survey.csv", PLAIN)
@@ -108,14 +98,6 @@ def test_sensor_vectors_are_turned_into_the_survey_frame(room, tmp_path):
     Survey(room.positions, seen, room.times, room.orientations).save(path)
     survey = read_survey(path, SurveyFormat(field_frame="sensor"))
     np.testing.assert_allclose(survey.field, room.field, atol=1e-18)
-
-
-def test_quaternions_are_xyzw_from_sensor_to_survey(tmp_path):
-    lines = [f"{line},0,0,1,1" for line in LINES]  # 90 deg about z, not yet of unit length
-    lines = [line.replace(",1,1", ",0.70710678,0.70710678") for line in lines]
-    path = write(tmp_path / "turned.csv", "\n".join(["x,y,z,bx,by,bz,qx,qy,qz,qw", *lines]))
-    survey = read_survey_csv(path, SurveyFormat(field_frame="sensor"))
-    np.testing.assert_allclose(survey.field, np.tile([-2e-5, 2e-5, 2e-5], (12, 1)), rtol=1e-7)
 
 
 def test_sensor_vectors_without_orientations_are_refused(tmp_path):
@@ -295,19 +277,6 @@ def test_trajectory_that_is_another_kind_of_file_is_named(log, tmp_path, content
     write_log(path, np.arange(20.0), np.tile(b_survey, (20, 1)))
     with pytest.raises(DataFormatError, match=words):
         read_survey(path, SurveyFormat(trajectory=write(tmp_path / "poses.tum", content)))
-
-
-def test_missing_trajectory_is_named(log, tmp_path):
-    path, _, b_survey = log
-    write_log(path, np.arange(20.0), np.tile(b_survey, (20, 1)))
-    with pytest.raises(DataFormatError, match=r"nowhere\.tum: no such file"):
-        read_survey(path, SurveyFormat(trajectory=tmp_path / "nowhere.tum"))
-
-
-@pytest.mark.parametrize("settings", [{"field_unit": "tesla"}, {"length_unit": "km"}, {"pose_sd": -1}, {"unit": "T"}])
-def test_unknown_settings_are_refused(settings):
-    with pytest.raises(ValueError, match="SurveyFormat"):
-        SurveyFormat(**settings)
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])

@@ -62,17 +62,6 @@ def test_sensor_logger_in_every_wrapping_gives_the_same_survey(tmp_path, poses):
         np.testing.assert_allclose(survey.positions[:, 0], 0.01 * np.arange(N), atol=1e-6)  # clock of 0.24 us
 
 
-@pytest.mark.parametrize("mark", [",", ";", "\t"])
-def test_phyphox_columns_are_found_by_name(mark, tmp_path, poses):
-    path = zipped(tmp_path / "phyphox.zip", **{"Raw_Data": phyphox(mark), "meta__device": "property,value\n"})
-    survey = read_survey(path, poses(0.0))
-    np.testing.assert_array_equal(survey.field, FIELD_UT * 1e-6)
-    # The app offers decimal commas too, where something else separates the cells.
-    for text in (phyphox(mark), phyphox(mark).replace(".", "," if mark != "," else ".")):
-        (tmp_path / "table.csv").write_text(text)
-        np.testing.assert_array_equal(read_survey(tmp_path / "table.csv", poses(0.0)).field, survey.field)
-
-
 def test_uncalibrated_samples_are_read_last_and_said_to_be(tmp_path, poses, caplog):
     other = sensor_logger().replace("time,", "time,", 1)
     path = zipped(tmp_path / "a.zip", Magnetometer=other, MagnetometerUncalibrated=other)

@@ -44,7 +44,6 @@ CONTENTS = {
     "NaN in the field": (lambda s: with_value(s, 0, 7, np.nan), {}, "/imu/mag, message 7: holds NaN"),
     "infinity in a pose": (lambda s: with_value(s, 1, (4, 2), np.inf), {}, "/odom, message 4: holds NaN or infinity"),
     "zero quaternion": (lambda s: with_value(s, 1, (9, slice(3, 7)), 0), {}, "/odom, message 9: expected a unit"),
-    "long quaternion": (lambda s: with_value(s, 1, (9, slice(3, 7)), 1), {}, "one of length 2"),
     "all poses zero": (lambda s: changed(s, 1, values=np.zeros((130, 7))), {}, "130 such messages"),
     "a number beyond reason": (lambda s: with_value(s, 1, (3, 0), 1e300), {}, "message 3: holds a number of 1e+300"),
     "field clock set back": (lambda s: set_back(s, 0), {}, "/imu/mag, message 60: time runs backward"),
@@ -112,17 +111,13 @@ def test_a_log_whose_survey_cannot_be_says_why(case, made, flight, tmp_path, ref
 
 
 EXTRINSICS = {
-    "two numbers": ("1 2", "found 2 numbers"),
     "eight numbers": ("1 2 3 4 5 6 7 8", "found 8 numbers"),
     "NaN": ("0 0 nan 0 0 0 1", "NaN"),
     "zero quaternion": ("0 0 0 0 0 0 0", "length 0"),
     "long quaternion": ("0 0 0 1 1 1 1", "length 2"),
     "no such file": ("nowhere.yaml", "no such file"),
     "no YAML": ("!a: [", "expected the extrinsic"),
-    "a list": ("[1, 2, 3]", "expected translation"),
     "no rotation": ("translation: [1, 2, 3]", "expected translation"),
-    "half a translation": ("translation: [1, 2]\nrotation: [0, 0, 0, 1]", "expected translation"),
-    "words": ("translation: [a, b, c]\nrotation: [0, 0, 0, 1]", "expected translation"),
     "no unit": ("translation: [1, 2, 3]\nrotation: [0, 0, 0, 5]", "length 5"),
     "values repeated without end": ("translation: &a [[*a, *a], *a]\nrotation: *a", "is not YAML"),
     "a Python object": ("translation: !!python/object/apply:os.abort []\nrotation: 1", "is not YAML"),

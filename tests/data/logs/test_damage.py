@@ -73,11 +73,6 @@ def test_a_damaged_page_of_a_database_names_what_mends_it(database, refusal):
     assert "sqlite3 (.recover), and then ros2 bag reindex, mends it" in refusal(database.parent, recover=True)
 
 
-def test_a_database_cut_off_names_what_mends_it(database, refusal):
-    database.write_bytes(database.read_bytes()[: database.stat().st_size // 2])
-    assert "ros2 bag reindex, mends it" in refusal(database.parent)
-
-
 def test_what_the_recorder_left_in_a_journal_is_read(database, tmp_path):
     expected = read_survey(database)
     writer = sqlite3.connect(database)

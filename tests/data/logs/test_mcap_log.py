@@ -64,7 +64,6 @@ MCAPS = {
     "a chunk that declares terabytes": (lambda: file_of(TOPICS, chunk(b"x" * 50, "zstd", 1 << 40)), MENDED),
     "a checksum that does not fit": (lambda: file_of(TOPICS, chunk(TOPICS, crc=1)), "crc validation failed in Chunk"),
     "zstd that is none": (lambda: file_of(TOPICS, chunk(b"x" * 50, "zstd", 100)), MENDED),
-    "lz4 that is none": (lambda: file_of(TOPICS, chunk(b"x" * 50, "lz4", 100)), MENDED),
     "a message too short for its head": (lambda: file_of(TOPICS, chunk(record(5, b"xx"))), MENDED),
     "a channel without schema": (lambda: file_of(channel(1, 9, "/mag")), "schema 9, which is nowhere defined"),
     "a message without channel": (lambda: file_of(TOPICS, message(7, b"")), "channel 7, which is nowhere defined"),
@@ -72,7 +71,6 @@ MCAPS = {
     "a time beyond all calendars": (lambda: file_of(TOPICS, message(1, b"", (1 << 64) - 1)), "of the year 2554"),
     "protobuf": (lambda: mcap_with(b"x", "protobuf"), "encoded as 'protobuf', expected ros1, cdr, json"),
     "no payload": (lambda: mcap_with(b""), "/mag, message 0: is cut off or damaged"),
-    "half a header": (lambda: mcap_with(CDR + STAMP[:6]), "is cut off or damaged"),
     "a frame of gigabytes": (lambda: mcap_with(CDR + STAMP + b"\xff\xff\xff\x7f"), "string length 2147483647"),
     "half a field": (lambda: mcap_with(GOOD_FIELD[:-80]), "/mag, message 0: is cut off"),
     "another definition": (
@@ -80,11 +78,8 @@ MCAPS = {
         "or of another message definition (CDR message size mismatch",
     ),
     "extended CDR": (lambda: mcap_with(b"\0\7" + GOOD_FIELD[2:]), "unsupported CDR"),
-    "parameter lists": (lambda: mcap_with(b"\1\1" + GOOD_FIELD[2:]), "unsupported CDR"),
     "JSON that is none": (lambda: mcap_with(b"{", "json"), "is not the JSON of such a message"),
-    "JSON of a list": (lambda: mcap_with(b"[]", "json"), "is not the JSON of such a message"),
     "JSON without a header": (lambda: mcap_with(b'{"magnetic_field": {}}', "json"), "no attribute 'header'"),
-    "JSON nested without end": (lambda: mcap_with(b"[" * 100_000, "json"), "is not the JSON"),
     "JSON of words": (
         lambda: mcap_with(
             json.dumps(

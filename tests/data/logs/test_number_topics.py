@@ -62,7 +62,7 @@ def numbers_of(path, encoding, contents):
                 writer.add_message(channel, i, payload, i)
         writer.finish()
     log = open_log(path)
-    found = read_numbers(log, log.topics(), 0.0).by_name
+    found = read_numbers(log, log.topics(), 0.0)
     log.close()
     return {name: channel.values.tolist() for name, channel in found.items()}
 

@@ -10,10 +10,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.logs.read import list_topics
-from magmatch.data.read import read_survey, read_survey_and_channels
+from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 
-SECOND = 1_000_000_000
 TF, MAG, POSE = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PoseStamped"
 
 
@@ -71,70 +70,9 @@ def test_an_edge_reversed_with_its_transform_inverted_changes_nothing(turned, ma
     close(read_survey(made.mcap(tmp_path / "other.mcap", [mag, *other]), LAYOUT), expected)
 
 
-@pytest.mark.parametrize("turned", [(2,), (3,), (2, 3)])
-def test_a_lever_reversed_and_inverted_changes_nothing(turned, made, flight, chain, tmp_path):
-    mag, odom = flight.series
-    log = [mag, made.replace(odom, child="base")]
-    expected = read_survey(made.mcap(tmp_path / "log.mcap", [*log, *chain[2:]]))
-    other = [reverse(made, chain[k]) if k in turned else chain[k] for k in (2, 3)]
-    close(read_survey(made.mcap(tmp_path / "other.mcap", [*log, *other])), expected)
-
-
-def test_the_last_static_transform_holds(made, flight, chain, tmp_path):
-    mag, odom = flight.series
-    log = [mag, made.replace(odom, child="base"), chain[3]]
-    wrong = made.replace(chain[2], values=chain[2].values + np.eye(7)[0])
-    right = made.replace(chain[2], log_ns=chain[2].log_ns + 1, stamp_ns=None)
-    expected = read_survey(made.mcap(tmp_path / "log.mcap", [*log, chain[2]]))
-    close(read_survey(made.mcap(tmp_path / "other.mcap", [*log, wrong, right])), expected)
-
-
 def test_poses_without_frames_named_run_from_the_root(made, flight, chain, tmp_path):
     path = made.mcap(tmp_path / "log.mcap", [flight.series[0], *chain])
     close(read_survey(path), read_survey(path, LAYOUT))
-
-
-def two_lengths(made, series, **changes):
-    """The topic as two publishers would send it in turns, of whom one names the frame with a slash."""
-    halves = []
-    for k, slash in enumerate(("", "/")):
-        rows = slice(k, None, 2)
-        stamps = changes.get("stamp_ns", series.stamp_ns)[rows]
-        half = {"log_ns": series.log_ns[rows], "values": series.values[rows], "stamp_ns": stamps}
-        halves.append(made.replace(series, frame=slash + series.frame, **half))
-    return halves
-
-
-@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
-def test_unstamped_messages_of_mixed_length_stand_at_their_own_log_times(encoding, made, flight, tmp_path):
-    mag, odom = flight.series
-    zeros = np.zeros_like(mag.stamp_ns)
-    expected = read_survey(made.mcap(tmp_path / "log.mcap", [mag, odom]))
-    mixed = [*two_lengths(made, mag, stamp_ns=zeros), odom]
-    survey = read_survey(made.mcap(tmp_path / "mixed.mcap", mixed, encoding))
-    for name in ("times", "positions", "field"):
-        np.testing.assert_array_equal(getattr(survey, name), getattr(expected, name))
-
-
-def test_messages_of_mixed_length_stand_at_their_own_stamps(made, flight, tmp_path):
-    mag, odom = flight.series
-    expected = read_survey(made.mcap(tmp_path / "log.mcap", [mag, odom]))
-    stamps = mag.stamp_ns.copy()
-    late = made.replace(mag, log_ns=mag.log_ns + 7_000_000, stamp_ns=stamps)
-    mixed = made.mcap(tmp_path / "mixed.mcap", [*two_lengths(made, late, stamp_ns=stamps), odom])
-    survey = read_survey(mixed)
-    for name in ("times", "positions", "field"):
-        np.testing.assert_array_equal(getattr(survey, name), getattr(expected, name))
-
-
-def test_of_equal_stamps_the_first_message_stays(made, flight, tmp_path):
-    mag, odom = flight.series
-    stamps = mag.stamp_ns.copy()
-    stamps[1::2] = stamps[::2]
-    survey = read_survey(made.mcap(tmp_path / "log.mcap", [made.replace(mag, stamp_ns=stamps), odom]))
-    every = made.replace(mag, log_ns=mag.log_ns[::2], stamp_ns=None, values=mag.values[::2])
-    expected = read_survey(made.mcap(tmp_path / "every.mcap", [every, odom]))
-    np.testing.assert_array_equal(survey.field, expected.field)
 
 
 def test_simulated_clocks_begin_at_zero(made, flight, tmp_path, caplog):
@@ -160,42 +98,6 @@ def test_seconds_of_ros1_have_no_sign(made, flight, tmp_path):
     survey = read_survey(tmp_path / "later.bag")
     expected = read_survey(tmp_path / "log.bag")
     np.testing.assert_allclose(survey.times - expected.times, 8e8, rtol=0, atol=1e-6)
-
-
-def test_byte_order_changes_nothing(made, flight, tmp_path):
-    """CDR states it in its second byte; stamps, lengths and numbers follow it."""
-    from mcap.writer import Writer
-
-    mag, odom = flight.series
-    odom = made.replace(odom, type=POSE)
-    expected = read_survey(made.mcap(tmp_path / "little.mcap", [mag, odom]))
-    with (tmp_path / "big.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        for series, tail in ((mag, bytes(72)), (odom, b"")):
-            channel = writer.register_channel(series.topic, "cdr", writer.register_schema(series.type, "", b""))
-            frame = series.frame.encode() + b"\0"
-            for t, v in zip(series.stamp_ns.tolist(), series.values, strict=True):
-                head = struct.pack(">iII", *divmod(t, SECOND), len(frame)) + frame
-                head += bytes(-len(head) % 8)
-                writer.add_message(channel, t, b"\0\0\0\0" + head + v.astype(">f8").tobytes() + tail, t)
-        writer.finish()
-    survey = read_survey(tmp_path / "big.mcap")
-    np.testing.assert_array_equal(survey.times, expected.times)
-    np.testing.assert_array_equal(survey.field, expected.field)
-
-
-def test_the_share_of_the_common_time_decides_between_topics(made, flight, tmp_path):
-    """A fast topic of which little lies in the time of the field loses against a slower one of which all does."""
-    mag, odom = flight.series
-    t = odom.log_ns[0] - 100 * SECOND + np.arange(1100) * SECOND // 10  # some 60 of them in the time of the field
-    fast = made.Series("/a_fast", POSE, t, np.tile([0.0, 0, 0, 0, 0, 0, 1], (1100, 1)))
-    path = made.mcap(tmp_path / "log.mcap", [fast, mag, odom])
-    topics, chosen = list_topics(path, SurveyFormat())
-    assert chosen["poses"] == "/odom"
-    found = {topic.name: (topic.count, topic.first_ns, topic.last_ns) for topic in topics}
-    assert found["/a_fast"] == (1100, t[0], t[-1])
-    assert found["/odom"] == (130, odom.log_ns[0], odom.log_ns[-1])
 
 
 @pytest.mark.parametrize("container", ["ROS 1 bag", "ROS 2 bag, sqlite3", "ROS 2 bag, mcap", "MCAP without summary"])
@@ -227,17 +129,3 @@ def test_quaternions_may_be_rounded_and_no_more(made, flight, tmp_path):
         values = odom.values * [1.0, 1, 1, factor, factor, factor, factor]
         with pytest.raises(DataFormatError, match="expected a unit quaternion"):
             read_survey(made.mcap(tmp_path / "log.mcap", [mag, made.replace(odom, values=values)]))
-
-
-def test_channels_of_mixed_length_stand_at_their_own_times(made, flight, tmp_path):
-    """Joints in turns of two publishers; each effort is its own time."""
-    kind = made.numbers["/joints"]
-    t = flight.mag_ns[0] - SECOND + np.arange(80) * SECOND // 10
-    efforts = (t - flight.mag_ns[0]) / SECOND
-    joints = made.Series("/joints", kind, t, efforts, frame="base")
-    survey, channels = read_survey_and_channels(
-        made.mcap(tmp_path / "log.mcap", [*flight.series, *two_lengths(made, joints)])
-    )
-    expected = survey.times - flight.mag_ns[0] / SECOND
-    np.testing.assert_allclose(channels["/joints effort left"], expected, rtol=0, atol=1e-6)
-    np.testing.assert_allclose(channels["/joints effort right_wheel"], -expected, rtol=0, atol=1e-6)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """ROS 2 bag folders made wrong, by name: each is refused in one line that says what is wrong and what to do."""
 
-import shutil
 import sqlite3
 
 import pytest
@@ -27,15 +26,6 @@ def run_sql(folder, *statements):
     database.close()
 
 
-def remove(folder):
-    (folder / "log-db3.db3").unlink()
-
-
-def loop(folder):
-    (folder / "log-db3.db3").unlink()
-    (folder / "log-db3.db3").symlink_to("log-db3.db3")
-
-
 def zero_page(folder):
     path = folder / "log-db3.db3"
     raw = bytearray(path.read_bytes())
@@ -46,24 +36,14 @@ def zero_page(folder):
 
 FOLDERS = {
     "metadata that is no YAML": (lambda f: (f / "metadata.yaml").write_text("a: [b"), "is not YAML"),
-    "metadata that is no text": (lambda f: (f / "metadata.yaml").write_bytes(b"\xff\xfe\xfd"), "is not YAML"),
-    "metadata with code": (
-        lambda f: (f / "metadata.yaml").write_text("!!python/object/apply:os.abort []"),
-        "not YAML",
-    ),
     "metadata repeated without end": (
         lambda f: (f / "metadata.yaml").write_text("rosbag2_bagfile_information: &a {x: [*a, *a]}"),
         "repeats values by name",
     ),
     "metadata of something else": (lambda f: (f / "metadata.yaml").write_text("a: b"), "rosbag2_bagfile_information"),
-    "metadata of a list": (lambda f: (f / "metadata.yaml").write_text("- a"), "rosbag2_bagfile_information"),
-    "empty metadata": (lambda f: (f / "metadata.yaml").write_text(""), "rosbag2_bagfile_information"),
     "a file elsewhere": (lambda f: about(f, relative_file_paths=["/etc/passwd"]), "outside the folder"),
-    "a file above": (lambda f: about(f, relative_file_paths=["../x.db3"]), "outside the folder"),
     "files that are no names": (lambda f: about(f, relative_file_paths=[1]), "list of names"),
-    "files that are no list": (lambda f: about(f, relative_file_paths="a"), "list of names"),
     "a missing file": (lambda f: about(f, relative_file_paths=["a.db3"]), "not in the folder; 'ros2 bag reindex'"),
-    "no file at all": (remove, "not in the folder"),
     "files compressed as a whole": (lambda f: (f / "x.db3.zstd").write_bytes(b"x"), "unzstd x.db3.zstd"),
     "messages compressed otherwise": (
         lambda f: about(f, compression_mode="message", compression_format="lz4"),
@@ -73,25 +53,14 @@ FOLDERS = {
         lambda f: about(f, compression_mode="message", compression_format="zstd"),
         "says that messages are compressed, found one that is not",
     ),
-    "messages compressed in an unknown way": (
-        lambda f: about(f, compression_mode="message", compression_format=["zstd"] * 40),
-        "expected zstd",
-    ),
     "a name with a NUL": (lambda f: about(f, relative_file_paths=["a\0.db3"]), "outside the folder"),
-    "a name on Windows": (lambda f: about(f, relative_file_paths=["C:\\x.db3"]), "not in the folder"),
-    "a link in circles": (loop, "not in the folder"),
-    "a folder as file": (lambda f: about(f, relative_file_paths=["."]), "not in the folder"),
-    "a file of its own kind": (lambda f: shutil.copy(f / "metadata.yaml", f / "log-db3.db3"), "is no ROS 1 bag"),
     "a file cut to its first page": (
         lambda f: (f / "log-db3.db3").write_bytes((f / "log-db3.db3").read_bytes()[:4096]),
         "damaged ROS 2 bag",
     ),
     "a page of zeros": (zero_page, "ros2 bag reindex, mends it"),
     "no column of types": (lambda f: run_sql(f, "ALTER TABLE topics RENAME COLUMN type TO kind"), "damaged ROS 2"),
-    "stamps of fractions": (lambda f: run_sql(f, "UPDATE messages SET timestamp = 1.5"), "time stamp"),
     "messages of no topic": (lambda f: run_sql(f, "UPDATE messages SET topic_id = 99"), "holds no messages"),
-    "an empty file": (lambda f: (f / "log-db3.db3").write_bytes(b""), "is no ROS 1 bag, ROS 2 bag or MCAP"),
-    "a file of text": (lambda f: (f / "log-db3.db3").write_text("hello"), "is no ROS 1 bag"),
     "a database without pages": (
         lambda f: (f / "log-db3.db3").write_bytes(b"SQLite format 3\0" + bytes(200)),
         "damaged ROS 2 bag",
@@ -99,10 +68,6 @@ FOLDERS = {
     "a database of something else": (lambda f: run_sql(f, "DROP TABLE messages"), "without table messages"),
     "no topics": (lambda f: run_sql(f, "DELETE FROM topics"), "expected a field topic"),
     "no messages": (lambda f: run_sql(f, "DELETE FROM messages"), "holds no messages"),
-    "columns of another time": (
-        lambda f: run_sql(f, "ALTER TABLE messages RENAME COLUMN data TO blob"),
-        "no such column: data",
-    ),
     "data of another kind": (
         lambda f: run_sql(f, "UPDATE messages SET data = 'text'"),
         "without a whole number as time stamp, or data",

@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
 from magmatch.data.tables import pipes
 from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.tum import write_tum
 from magmatch.errors import DataFormatError
 
 pytestmark = pytest.mark.skipif(not os.path.isdir("/dev/fd"), reason="this system names no open pipes")  # noqa: PTH112
@@ -84,21 +82,6 @@ def test_what_an_archive_says_of_pauses_is_read_through_a_pipe_too():
     with piped(content.getvalue()) as name:
         log = read_phone_log(name)
     np.testing.assert_allclose(log.streams["field"].times, [0, 1, 12])
-
-
-def test_field_and_trajectory_may_come_through_two_pipes(walk, tmp_path):
-    write_tum(tmp_path / "poses.tum", walk.times, walk.positions, np.tile([0.0, 0.0, 0.0, 1.0], (600, 1)))
-    rows = np.column_stack([walk.times, walk.field])
-    table = "\n".join(["t,bx,by,bz", *(",".join(map(repr, row)) for row in rows.tolist()), ""])
-    with piped(table.encode()) as field, piped((tmp_path / "poses.tum").read_bytes()) as poses:
-        read = read_survey(field, SurveyFormat(trajectory=poses))
-    np.testing.assert_allclose(read.positions, walk.positions, atol=1e-9)
-
-
-def test_faults_are_told_of_the_name_that_was_given():
-    with piped(b"x,y,z,bx,by,bz\n1,2,3,4,5,six\n") as name, pytest.raises(DataFormatError) as error:
-        read_survey(name)
-    assert str(error.value).startswith(f"{name}, line 2, column 'bz'")
 
 
 def test_faults_of_a_packed_file_are_told_of_the_name_that_was_given(tmp_path):

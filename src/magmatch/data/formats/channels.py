@@ -2,7 +2,7 @@
 """Other numeric channels of a log, such as motor currents, that a disturbance of the field may follow."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,24 +30,19 @@ class TimeSeries:
     values: Scalars  # (n,): in the file's own unit
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Channels:
-    """The numbers of a log beside field and poses."""
-
-    by_name: Mapping[str, TimeSeries] = field(default_factory=dict)
-
-    def at(self, times: Scalars | None, n: int) -> dict[str, Scalars]:
-        """Values for the samples of a survey: by time where there is one, else row by row."""
-        found = {}
-        for name, channel in self.by_name.items():
-            if times is not None and channel.times is not None:
-                found[name] = np.interp(times, channel.times, channel.values)
-            elif len(channel.values) == n:
-                found[name] = channel.values
-        return found
+# The numbers of a log beside field and poses, by name.
+Channels = Mapping[str, TimeSeries]
 
 
-NO_CHANNELS = Channels()
+def channels_at(channels: Channels, times: Scalars | None, n: int) -> dict[str, Scalars]:
+    """Values for the samples of a survey: by time where there is one, else row by row."""
+    found = {}
+    for name, channel in channels.items():
+        if times is not None and channel.times is not None:
+            found[name] = np.interp(times, channel.times, channel.values)
+        elif len(channel.values) == n:
+            found[name] = channel.values
+    return found
 
 
 def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
@@ -58,9 +53,9 @@ def read_channels(path: str | Path, layout: SurveyFormat) -> Channels:
     elif kind == "parquet":
         times, columns = read_other_columns(path, layout, MAX_CHANNELS)
     else:
-        return NO_CHANNELS
+        return {}
     times = times if layout.rate is None else None
-    return Channels({name: TimeSeries(times, values) for name, values in columns.items()})
+    return {name: TimeSeries(times, values) for name, values in columns.items()}
 
 
 def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dict[str, Scalars]]:

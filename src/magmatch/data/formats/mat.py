@@ -3,7 +3,8 @@
 
 import logging
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,29 +42,18 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
     stated = layout.stated_columns()
     own = (*COLUMNS, *(name for names in GLOBAL_COLUMNS.values() for name in names))
     is_v5 = read_bytes(path, 19) == b"MATLAB 5.0 MAT-file"
-    with plain_file(path) as place:
-        try:
-            wanted = {text.partition(":")[0] for text in (*stated.values(), *own)}
-            arrays = (_arrays_of_v5 if is_v5 else _arrays_of_hdf5)(place, wanted)
-        except MagmatchError:
-            raise
-        except Exception as error:  # h5py raises whatever it stumbles over
-            words = " ".join(str(error).split())[:150]
-            raise DataFormatError(place, f"is a damaged MATLAB file ({words})") from None
+    with plain_file(path) as place, _opened(place, is_v5=is_v5) as content:
+        arrays = _found(place, content, {text.partition(":")[0] for text in (*stated.values(), *own)})
         # Of the survey's own names only vectors are columns; what is stated may be a column of an array.
         vectors = [name for name in own if name in arrays and arrays[name].size == max(arrays[name].shape, default=1)]
         there = [text for text in stated.values() if text.partition(":")[0] in arrays]
         missing = [text for text in stated.values() if text not in there and constant_of(text) is None]
         names = list(dict.fromkeys([*there, *vectors]))
-        if (
-            "t" not in (*stated, *vectors)
-            and layout.rate is None
-            and any(name.partition(" ")[0].lower() == "t" for name in _listing(place, is_v5=is_v5))
-        ):
+        if layout.rate is None and "t" not in (*stated, *vectors) and "t" in map(str.lower, content):
             logger.warning("%s: has no column t: its 't' holds no column of real numbers and is left out", path)
         if missing or not set(names) - {"t"}:
             expected = ", ".join(missing) or "x, y, z, bx, by, bz"
-            found = ", ".join(_listing(place, is_v5=is_v5))
+            found = ", ".join(_leaves(content))
             if not found:
                 raise DataFormatError(
                     place, f"expected arrays {expected}; the file holds none: was it closed after writing?"
@@ -76,9 +66,9 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
             for name in chosen.ours
         }
         table = chosen.of(table_of_columns(path, columns, recover=layout.recover))
-        # Only for the message about what is missing: it costs another look at the file.
+        # For the message about what is missing.
         is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
-        return table if is_whole else replace(table, names=_listing(place, is_v5=is_v5))
+        return table if is_whole else replace(table, names=_leaves(content))
 
 
 def advice_for_arrays(_names: Sequence[str] = ()) -> str:
@@ -107,28 +97,28 @@ def _shape(array: np.ndarray) -> str:
     return " x ".join(map(str, array.shape)) or "one number"
 
 
-def _arrays_of_v5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
-    """Arrays by the names by which they are wanted (dots lead into structures)."""
-    first = {name.partition(".")[0] for name in wanted}
-    names = [name for name, *_ in scipy.io.whosmat(path, appendmat=False) if name.lower() in first]
-
-    def child(parent: Any, name: str) -> Any:
-        fields = parent if isinstance(parent, dict) else {}
-        return next((value for key, value in fields.items() if key.lower() == name), None)
-
-    return _walked(wanted, _variables(path, names), child)
-
-
-def _variables(path: Path, names: list[str] | None) -> dict[str, Any]:
-    """Variables of a file of version 5, all by default: arrays of real numbers, structures as dicts, else None."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # such as of a name that is there twice
-        content = scipy.io.loadmat(path, variable_names=names, appendmat=False)
-    return {name: _plain(value) for name, value in content.items() if not name.startswith("__")}
+@contextmanager
+def _opened(path: Path, *, is_v5: bool) -> Iterator[Mapping[str, Any]]:
+    """Content of a file: mappings of names to arrays, other mappings, and what is neither."""
+    try:
+        if is_v5:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # such as of a name that is there twice
+                variables = scipy.io.loadmat(path, appendmat=False)
+            yield {name: _plain(value) for name, value in variables.items() if not name.startswith("__")}
+        else:
+            h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
+            with h5py.File(path, "r") as file:
+                yield file
+    except MagmatchError:
+        raise
+    except Exception as error:  # libraries raise whatever they stumble over
+        words = " ".join(str(error).split())[:150]
+        raise DataFormatError(path, f"is a damaged MATLAB file ({words})") from None
 
 
 def _plain(value: Any) -> Any:
-    """Numbers as they are, and the fields of a structure; of several, by their numbers, counted from 1."""
+    """Arrays of real numbers, and structures as mappings (of several, by number, counted from 1); else None."""
     if type(value) is not np.ndarray or not (value.dtype.names or value.dtype.kind in "iuf"):
         return None
     if value.dtype.names is None:
@@ -137,59 +127,44 @@ def _plain(value: Any) -> Any:
     return rows[0] if len(rows) == 1 else {str(k): row for k, row in enumerate(rows, start=1)}
 
 
-def _walked(wanted: set[str], root: Any, child: Callable[[Any, str], Any]) -> dict[str, np.ndarray]:
+def _found(path: Path, content: Mapping[str, Any], wanted: set[str]) -> dict[str, np.ndarray]:
+    """Arrays by the names by which they are wanted (dots lead into structures); HDF5 in MATLAB's order of axes."""
     found = {}
     for name in wanted:
-        place = root
+        place: Any = content
         for part in name.split("."):
-            place = child(place, part) if place is not None else None
+            key = next((key for key in place if key.lower() == part), None) if isinstance(place, Mapping) else None
+            place = None if key is None else place[key] if isinstance(place, dict) else _linked(path, place, key)
         if isinstance(place, np.ndarray):
             found[name] = place
     return found
 
 
-def _arrays_of_hdf5(path: Path, wanted: set[str]) -> dict[str, np.ndarray]:
-    """Read arrays of MATLAB 7.3 and any HDF5, in MATLAB's order of axes; links out of the file are not followed."""
-    h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
+def _linked(path: Path, group: Any, key: str) -> Any:
+    """A group or array of HDF5; links out of the file are not followed."""
+    import h5py
 
-    def child(parent: Any, name: str) -> Any:
-        key = next((key for key in parent if key.lower() == name), None) if isinstance(parent, h5py.Group) else None
-        if key is None or not isinstance(parent.get(key, getlink=True), h5py.HardLink):
-            return None
-        found = parent[key]
-        if not isinstance(found, h5py.Dataset):
-            return found
-        if found.external or found.is_virtual:
-            raise DataFormatError(path, "the array lies in other files; expected one file", column=key)
-        if found.shape is None:
-            raise DataFormatError(path, "expected an array of numbers, found an empty one", column=key)
-        return np.asarray(found).T
-
-    with h5py.File(path, "r") as file:
-        return _walked(wanted, file, child)
+    if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+        return None
+    found = group[key]
+    if not isinstance(found, h5py.Dataset):
+        return found
+    if found.external or found.is_virtual:
+        raise DataFormatError(path, "the array lies in other files; expected one file", column=key)
+    if found.shape is None:
+        raise DataFormatError(path, "expected an array of numbers, found an empty one", column=key)
+    return np.asarray(found).T
 
 
-def _listing(path: Path, *, is_v5: bool) -> tuple[str, ...]:
-    """List the arrays for a message, as `read_mat` names them, with their sizes."""
-    try:
-        if is_v5:
-            return _leaves(_variables(path, None), dict)
-        h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
-        with h5py.File(path, "r") as file:
-            return _leaves({name: file[name] for name in file if not name.startswith("#")}, (dict, h5py.Group))
-    except Exception:  # as above
-        return ()
-
-
-def _leaves(root: Any, branch: Any) -> tuple[str, ...]:
-    """Names with dots of all that is no structure."""
+def _leaves(content: Mapping[str, Any]) -> tuple[str, ...]:
+    """Names with dots, and sizes, of all that is no structure, as `read_mat` names them; for a message."""
     names: list[str] = []
-    waiting: list[tuple[str, Any]] = [("", root)]
+    waiting: list[tuple[str, Any]] = [("", content)]
     while waiting and len(names) < MOST_LISTED:
         name, place = waiting.pop(0)
-        if isinstance(place, branch) and name.count(".") < DEEPEST:
+        if isinstance(place, Mapping) and name.count(".") < DEEPEST:
             prefix = f"{name}." if name else ""
-            waiting[:0] = [(prefix + key, place.get(key)) for key in place]
+            waiting[:0] = [(prefix + key, place.get(key)) for key in place if not key.startswith("#")]
         else:
             shape = getattr(place, "shape", None)
             names.append(name[:60] + (f" ({' x '.join(map(str, shape))})" if shape else ""))

@@ -3,13 +3,14 @@
 
 import logging
 from dataclasses import dataclass, replace
+from dataclasses import field as field_of
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.formats.channels import NO_CHANNELS, Channels
+from magmatch.data.formats.channels import Channels
 from magmatch.data.survey import Survey
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.trajectory import Trajectory
@@ -33,7 +34,7 @@ class Recording:
     has_orientations: bool = True  # False where the poses are positions only (the trajectory then holds identities)
     frame: str = "survey"  # name of the survey frame
     poses_from: Path | None = None  # another file that the poses came from
-    channels: Channels = NO_CHANNELS  # other numbers of the log, where they were asked for
+    channels: Channels = field_of(default_factory=dict)  # other numbers of the log, where they were asked for
     waypoints: SurveyedPoints | None = None
 
     def carried(self, T_body_sensor: RigidTransform | None) -> "Recording":

@@ -14,13 +14,7 @@ from types import ModuleType
 from typing import Literal
 
 from magmatch.data.formats.phones import getsensordata, xyz10
-from magmatch.data.formats.phones.containers import (
-    head_of_member,
-    opened_tables,
-    phone_tables,
-    plain_names,
-    refuse_strays,
-)
+from magmatch.data.formats.phones.containers import opened_tables, phone_tables_of, refuse_strays
 from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import is_number
@@ -189,7 +183,7 @@ def _sniff_archive(path: str | Path) -> FileKind:
     try:
         with zipfile.ZipFile(at_rest(path)) as archive:
             members = archive.namelist()
-            has_tables = bool(phone_tables(plain_names(archive), lambda name: head_of_member(archive, name)))
+            has_tables = bool(phone_tables_of(archive))
     except BROKEN_ZIP:
         raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
     if "[Content_Types].xml" in members or any(name.lower().endswith((".xls", ".xlsx")) for name in members):

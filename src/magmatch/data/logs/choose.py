@@ -3,9 +3,10 @@
 
 import itertools
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.logs.decode import ENCODINGS
 from magmatch.data.logs.log import Topic
 from magmatch.data.logs.messages import TREES
@@ -25,19 +26,38 @@ POSE_TYPES = (
 )
 
 
-def choose_topics(
-    path: Path, topics: Sequence[Topic], mag_topic: str | None, pose_topic: str | None, *, needs_pose: bool
-) -> tuple[Topic, Topic | None]:
-    """Choose the topic of the field and, where `needs_pose`, that of the poses; the names asked for overrule.
+def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
+    """Choose the topics of the field and the poses, or of moving frames where the poses come from these.
 
-    Of all pairs of a field and a pose topic, the one with the most messages logged in the time that both cover (taken
-    as evenly spread over each topic's own time); of equal ones the first by name. Without poses: the field topic with
-    the most messages. DataFormatError lists what there is.
+    Names that are asked for overrule. Of all pairs of a field and a pose topic, the one with the most messages logged
+    in the time that both cover (taken as evenly spread over each topic's own time); of equal ones the first by name.
+    Without poses: the field topic with the most messages. DataFormatError lists what there is.
     """
-    fields = _candidates(path, topics, mag_topic, FIELD_TYPES_IF_NAMED if mag_topic else FIELD_TYPES, "field")
+    moving = [] if layout.trajectory is not None else [topic for topic in trees(topics) if not is_static(topic)]
+    is_elsewhere = layout.trajectory is not None or layout.pose_frames is not None
+    if layout.pose_topic is not None:
+        has_own = not any(is_named(topic, layout.pose_topic) and topic.type in TREES for topic in topics)
+    else:
+        # A single pose is a goal or a start, not a path, and what cannot be decoded is none of either.
+        has_own = any(t.count > 1 and t.type in POSE_TYPES and t.encoding in ENCODINGS for t in topics)
+    if has_own and not is_elsewhere:
+        field, pose = _choose(path, topics, layout, needs_pose=True)
+        # Goals may be set before the field is recorded.
+        if layout.pose_topic is not None or not moving or (pose and _shared((field, pose)) > 0):
+            return field, pose, []
+    # Where poses are nowhere else, the choice says what is missing.
+    return *_choose(path, topics, layout, needs_pose=not (is_elsewhere or moving)), moving
+
+
+def _choose(
+    path: Path, topics: Sequence[Topic], layout: SurveyFormat, *, needs_pose: bool
+) -> tuple[Topic, Topic | None]:
+    """Choose one topic of the field and, where `needs_pose`, one of poses."""
+    types = FIELD_TYPES_IF_NAMED if layout.mag_topic else FIELD_TYPES
+    fields = _candidates(path, topics, layout.mag_topic, types, "field")
     field, pose = min(fields, key=lambda topic: (-topic.count, topic.name)), None
     if needs_pose:
-        poses = _candidates(path, topics, pose_topic, POSE_TYPES, "pose")
+        poses = _candidates(path, topics, layout.pose_topic, POSE_TYPES, "pose")
         pairs = sorted(itertools.product(fields, poses), key=lambda pair: (pair[0].name, pair[1].name))
         field, pose = max(pairs, key=_shared)  # the first of equal ones
         _tell_choice(path, pose, poses, "of poses", "--pose-topic")
@@ -45,19 +65,14 @@ def choose_topics(
     return field, pose
 
 
-def has_poses(topics: Sequence[Topic], pose_topic: str | None) -> bool:
-    """Whether poses come from a topic of their own; else only the tree of frames may hold them.
-
-    A single pose is a goal or a start, not a path, and what cannot be decoded is none of either.
-    """
-    if pose_topic is not None:
-        return not any(is_named(topic, pose_topic) and topic.type in TREES for topic in topics)
-    return any(topic.count > 1 and topic.type in POSE_TYPES and topic.encoding in ENCODINGS for topic in topics)
+def is_static(topic: Topic) -> bool:
+    """Whether a topic is that of transforms that hold for good, of one robot or of one among several."""
+    return topic.name.rsplit("/", 1)[-1] == "tf_static"
 
 
-def share_time(field: Topic, pose: Topic | None) -> bool:
-    """Whether messages of both were logged in one stretch of time: goals may be set before the field is recorded."""
-    return pose is not None and _shared((field, pose)) > 0
+def trees(topics: Iterable[Topic]) -> list[Topic]:
+    """Topics of tf messages that can be read."""
+    return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
 
 
 def is_named(topic: Topic, name: str) -> bool:

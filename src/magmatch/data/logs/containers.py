@@ -7,7 +7,6 @@ rosbags for ROS 2 sort them by time, and pass over what SQLite still holds in a 
 
 import errno
 import sqlite3
-import struct
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -16,7 +15,6 @@ from typing import NamedTuple
 from urllib.parse import quote
 
 import mcap.records as mcap
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.reader import SeekingReader
@@ -200,11 +198,10 @@ class McapLog(Log):
         chunks = sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
         for place in (place for chunk in chunks for place in chunk.message_index_offsets.values()):
             self._stream.seek(place + RECORD_HEAD)
-            key, n_bytes = struct.unpack("<HI", self._stream.read(6))
-            # The library makes Python numbers of them, which takes as long as a quarter of reading the log.
-            times = np.frombuffer(self._stream.read(n_bytes), "<u8")[::2]
-            if len(times):
-                self._add(key, Count(len(times), int(times.min()), _possible(int(times.max()))))
+            index = mcap.MessageIndex.read(ReadDataStream(self._stream))
+            times = [time for time, _ in index.records]
+            if times:
+                self._add(index.channel_id, Count(len(times), min(times), _possible(max(times))))
         is_whole = sum(count.n for count in self.counts.values()) == summary.statistics.message_count
         self._chunks = chunks if is_whole and self.counts.keys() <= self.channels.keys() else None
         return self._chunks is not None

@@ -2,7 +2,7 @@
 """The sensor's place on the body: it is looked for in tf_static, in tf, and in the robot's description."""
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -10,26 +10,17 @@ from xml.etree import ElementTree
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from magmatch.data.logs.choose import is_static, trees
 from magmatch.data.logs.decode import ENCODINGS, MalformedError, decode
 from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import TREES, Entries, Frames
+from magmatch.data.logs.messages import Entries, Frames
 from magmatch.data.logs.streams import TopicStream, read_streams
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
 
 DESCRIPTION, STRING = "robot_description", "std_msgs/String"
-
-
-def is_static(topic: Topic) -> bool:
-    """Whether a topic is that of transforms that hold for good, of one robot or of one among several."""
-    return topic.name.rsplit("/", 1)[-1] == "tf_static"
-
-
-def trees(topics: Iterable[Topic]) -> list[Topic]:
-    """Topics of tf messages that can be read."""
-    return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
 
 
 def merged(streams: Sequence[TopicStream]) -> dict[Frames, Entries]:

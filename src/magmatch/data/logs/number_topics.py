@@ -53,7 +53,7 @@ def read_numbers(log: Log, topics: Sequence[Topic], delay_ns: float) -> Channels
     if len(parts) > len(names):
         logger.warning("%s: holds %d other channels; read are the first %d", log.path, len(parts), len(names))
     joined = {name: _joined(*parts[name], delay_ns) for name in names}
-    return Channels({name: channel for name, channel in joined.items() if len(channel.values)})
+    return {name: channel for name, channel in joined.items() if len(channel.values)}
 
 
 def _joined(times: Sequence[int], numbers: Sequence[float], delay_ns: float) -> TimeSeries:

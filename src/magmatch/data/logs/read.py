@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.formats.channels import NO_CHANNELS
 from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import choose_topics, has_poses, share_time
+from magmatch.data.logs.choose import choose_topics, is_static, trees
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Entries, Frames
-from magmatch.data.logs.mount import find_mount, is_static, merged, trees, with_description
+from magmatch.data.logs.mount import find_mount, merged, with_description
 from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import open_log
 from magmatch.data.logs.streams import TopicStream, in_order, read_streams, settle_clock
@@ -54,7 +53,7 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
 
 def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     topics = log.topics()
-    field_topic, pose_topic, moving = _choose(log.path, topics, layout)
+    field_topic, pose_topic, moving = choose_topics(log.path, topics, layout)
     wanted = [field_topic, *([pose_topic] if pose_topic else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
     fixed = [topic for topic in trees(topics) if is_static(topic)]
@@ -80,7 +79,7 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
         has_orientations=poses.has_orientations,
         frame=poses.fixed or "survey",
         poses_from=poses.source,
-        channels=read_numbers(log, topics, delay_ns) if with_channels else NO_CHANNELS,
+        channels=read_numbers(log, topics, delay_ns) if with_channels else {},
     ).carried(extrinsic)
 
 
@@ -139,24 +138,9 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
     with plain_file(path) as place, closing(open_log(place)) as log:
         topics = log.topics()
         try:
-            field, pose, moving = _choose(log.path, topics, layout)
+            field, pose, moving = choose_topics(log.path, topics, layout)
         except DataFormatError as error:
             logger.info("%s", error)
             return topics, {"field": None, "poses": None}
     poses = pose or (moving[0] if moving else None)
     return topics, {"field": field.name, "poses": poses.name if poses else None}
-
-
-def _choose(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
-    """Topics of the field and the poses, and those of moving frames where the poses come from them."""
-    is_elsewhere = layout.trajectory is not None
-    moving = [topic for topic in trees(topics) if not is_static(topic)]
-    has_own = not is_elsewhere and layout.pose_frames is None and has_poses(topics, layout.pose_topic)
-    if has_own:
-        field, pose = choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=True)
-        if layout.pose_topic is not None or not moving or share_time(field, pose):
-            return field, pose, []
-    moving = [] if is_elsewhere else moving
-    # Where poses are nowhere else, the choice says what is missing.
-    needs_pose = not (is_elsewhere or moving or layout.pose_frames)
-    return *choose_topics(path, topics, layout.mag_topic, layout.pose_topic, needs_pose=needs_pose), moving

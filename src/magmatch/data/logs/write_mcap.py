@@ -64,5 +64,4 @@ def _stamps(survey: Survey) -> list[int]:
         first, last = told(survey.times[0]), told(survey.times[-1])
         msg = f"{survey.name}: times run from {first} to {last} s, ROS knows 0 to 2^31"
         raise SurveyError(msg)
-    stamps: list[int] = nanoseconds_of(survey.times).tolist()
-    return stamps
+    return [int(stamp) for stamp in nanoseconds_of(survey.times)]

@@ -3,8 +3,10 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
+
+from magmatch.errors import DataFormatError
 
 Decimal = Literal["point", "comma"]
 # Signs that word processors and spreadsheets write for a minus: U+2212, hyphens, dashes.
@@ -73,69 +75,48 @@ def readings(cell: str) -> dict[Decimal, float]:
     return {decimal: number_of_text(text, decimal) for decimal in decimals if _PATTERNS[decimal].fullmatch(text)}
 
 
-@dataclass(frozen=True, slots=True)
-class Doubt:
-    """A number that may be either of two, in a table that does not say which."""
-
-    line: int
-    column: int  # among the cells that were looked at
-    text: str
-
-    @property
-    def values(self) -> tuple[str, str]:
-        """Both readings: with decimal points, with decimal commas."""
-        point, comma = (f"{value:.15g}" for value in readings(self.text).values())
-        return point, comma
-
-    @property
-    def words(self) -> str:
-        """The doubt, in words."""
-        mark = "comma" if "," in self.text else "point"
-        return f"found {self.text!r}, which is {' or '.join(self.values)}: nothing here says what the {mark} is"
-
-
-@dataclass(slots=True)
-class _Seen:
-    """Numbers that have one mark, with three digits behind it."""
-
-    first: Doubt
-    ends_in_zero: set[int] = field(default_factory=set)  # columns
-
-
-def decimal_of(rows: Iterable[tuple[int, Sequence[str]]], stated: Decimal | None = None) -> Decimal | Doubt:
-    """Decide what the marks of a table mean, from its rows (line, cells); `stated` counts where all are in doubt.
+def decimal_of_cells(
+    path: str | Path,
+    rows: Iterable[tuple[int, Sequence[str]]],
+    names: Sequence[str],
+    stated: Decimal | Literal[""] | None = None,
+) -> Decimal:
+    """Decide what the marks of a table mean, from its rows (line, cells of named columns); DataFormatError in doubt.
 
     The first number that can only be read one way decides, such as 0,5 or 1,234.5: a file has one decimal mark. Else
     commas mark thousands where a column holds 2,640 beside 987: whoever writes a fixed number of decimals writes
     987,000, and whoever drops zeros writes 2,64. Points in the same place are a doubt, as decimals they are usual.
+    In doubt `stated` counts; "" is not stated, and without such a choice it is None.
     """
     short: set[int] = set()
-    seen: dict[str, _Seen] = {}
+    first: dict[str, tuple[int, int, str]] = {}  # line, column and text by the mark that has three digits behind it
+    ends_in_zero: set[tuple[str, int]] = set()  # marks, and columns
     for n, (line, cells) in enumerate(rows):
-        if n >= MOST_POINTS and "," not in seen:
+        if n >= MOST_POINTS and "," not in first:
             break
         for k, cell in enumerate(cells):
             text = plain_text(cell)
             fits = [decimal for decimal, pattern in _PATTERNS.items() if pattern.fullmatch(text)]
             if len(fits) == 1:
                 return fits[0]
-            mark = next((mark for mark in ",." if mark in text), "")
-            if fits and mark:
-                found = seen.setdefault(mark, _Seen(Doubt(line, k, text)))
-                if text.endswith("0"):
-                    found.ends_in_zero.add(k)
+            if fits and (mark := next((mark for mark in ",." if mark in text), "")):
+                first.setdefault(mark, (line, k, text))
+                ends_in_zero |= {(mark, k)} if text.endswith("0") else set()
             elif _SHORT.fullmatch(text):
                 short.add(k)
-    marks_thousands = {mark for mark, found in seen.items() if found.ends_in_zero & short}
-    if not seen:
-        return "point"
-    if stated is not None:
+    marks_thousands = {mark for mark, k in ends_in_zero if k in short}
+    if first and stated:
         return stated
-    if "," not in seen and not marks_thousands:
+    if first.keys() <= {"."} - marks_thousands or (marks_thousands == {","} and "." not in first):
         return "point"
-    if marks_thousands == {","} and "." not in seen:
-        return "point"
-    return (seen.get(",") or seen["."]).first
+    line, k, text = first.get(",") or first["."]
+    point, comma = (f"{value:.15g}" for value in readings(text).values())
+    mark = "comma" if "," in text else "point"
+    found = f"found {text!r}, which is {point} or {comma}: nothing here says what the {mark} is"
+    advice = f"write {point} or {comma}"
+    if stated is not None:
+        advice += f", or state the mark: --decimal point reads {point}, --decimal comma {comma}"
+    raise DataFormatError(path, f"{found}; {advice}", line=line, column=names[k])
 
 
 def _is_float(text: str) -> bool:

@@ -7,11 +7,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from magmatch.data.tables.number_marks import Decimal, Doubt, decimal_of, is_number, number_of_text
+from magmatch.data.tables.number_marks import Decimal, is_number, number_of_text
 from magmatch.data.tables.text_rows import listed
 from magmatch.data.tables.times import seconds_of_date, seconds_of_text
 from magmatch.errors import DataFormatError
@@ -125,26 +124,6 @@ class NumberReader:
             raise DataFormatError(self.path, message, line=line, column=name)
         self._has_commas |= "," in cell
         return seconds_of_text(text, self.digits[name], self.decimal) if self.digits.get(name) else value
-
-
-def decimal_of_cells(
-    path: str | Path,
-    rows: Iterable[tuple[int, Sequence[str]]],
-    names: Sequence[str],
-    stated: Decimal | Literal[""] | None = None,
-) -> Decimal:
-    """The decimal mark of rows (line, cells of named columns); one that they leave in doubt is refused.
-
-    `stated` as in `Wanted.decimal`.
-    """
-    found = decimal_of(rows, stated or None)
-    if not isinstance(found, Doubt):
-        return found
-    point, comma = found.values
-    advice = f"write {point} or {comma}"
-    if stated is not None:
-        advice += f", or state the mark: --decimal point reads {point}, --decimal comma {comma}"
-    raise DataFormatError(path, f"{found.words}; {advice}", line=found.line, column=names[found.column])
 
 
 def _advice_on(text: str, decimal: Decimal) -> tuple[type[DataFormatError], str]:

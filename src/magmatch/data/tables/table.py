@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.data.tables.number_marks import Decimal
-from magmatch.data.tables.numbers import RECOVER, NumberReader, decimal_of_cells
+from magmatch.data.tables.number_marks import Decimal, decimal_of_cells
+from magmatch.data.tables.numbers import RECOVER, NumberReader
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import Rows, advice_on_comments, listed, names_of, numbered_names, rows_of
 from magmatch.errors import DataFormatError

@@ -3,7 +3,7 @@
 
 import csv
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -135,14 +135,6 @@ def listed(names: Sequence[str]) -> str:
     """Column names for a message; a file that is no table at all may have thousands."""
     shown = [name[:30] if name.isprintable() else "(unprintable)" for name in names[:15]]
     return ", ".join(name or "(unnamed)" for name in shown) + (", ..." if len(names) > len(shown) else "")
-
-
-def require_stated(path: str | Path, names: Sequence[str], stated: Mapping[str, str]) -> None:
-    """Raise DataFormatError unless all columns that were named, {theirs, lower case: ours}, are there."""
-    there = {name.lower() for name in names}
-    for theirs, ours in stated.items():
-        if theirs not in there:
-            raise DataFormatError(path, f"expected a column '{theirs}' for {ours}, found {listed(names)}")
 
 
 def is_sample(text: str) -> bool:

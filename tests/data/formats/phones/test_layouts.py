@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magmatch.data.formats.phones.phone_log import STANDARD_GRAVITY, stream_of
+from magmatch.data.formats.phones.phone_log import STANDARD_GRAVITY
 from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.formats.sniff import sniff
 from magmatch.errors import DataFormatError
@@ -229,9 +229,3 @@ def test_rows_that_stand_out_of_order_are_sorted_and_counted(tmp_path, caplog):
     log = read_phone_log(tmp_path / "Magnetometer.csv")
     np.testing.assert_allclose(log.streams["field"].values, 1e-6 * READINGS["field"])
     assert "1 stand after later ones (sorted) and 1 repeat a time" in caplog.text
-
-
-def test_a_stream_of_sorted_rows_is_left_as_it_is(tmp_path):
-    stream = stream_of(tmp_path, "rows", TIMES, READINGS["rate"], np.arange(N))
-    np.testing.assert_array_equal(stream.values, READINGS["rate"])
-    np.testing.assert_array_equal(stream.times, TIMES)

@@ -3,7 +3,7 @@
 
 import zipfile
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -22,14 +22,14 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
     place = Path(path)
     if is_folder(path):
         names = sorted(entry.name for entry in place.iterdir() if not entry.is_fifo())  # which might be waited for
-        found = phone_tables(names, lambda name: head_of_file(place / name))
+        found = phone_tables(names, lambda name: read_bytes(place / name, MAX_HEADER))
         yield {place / name: partial(read_bytes, place / name) for name in found}
     elif not zipfile.is_zipfile(at_rest(path)):
         yield {place: partial(read_bytes, place)}
     else:
         with zipfile.ZipFile(at_rest(path)) as archive:
             refuse_strays(place, archive.namelist())
-            found = phone_tables(plain_names(archive), lambda name: head_of_member(archive, name))
+            found = phone_tables_of(archive)
             yield {place / name: partial(_read_member, place, archive, name) for name in found}
 
 
@@ -44,9 +44,10 @@ def member(path: Path, name: str) -> bytes | None:
         return _read_member(path, archive, found[0]) if found else None
 
 
-def plain_names(archive: zipfile.ZipFile) -> list[str]:
-    """Names of members; none that is packed once more, which no app does."""
-    return [name for name in archive.namelist() if not name.lower().endswith(".gz")]
+def phone_tables_of(archive: zipfile.ZipFile) -> list[str]:
+    """Names of the tables of a phone's sensors in an archive; none that is packed once more, which no app does."""
+    plain = [name for name in archive.namelist() if not name.lower().endswith(".gz")]
+    return phone_tables(plain, lambda name: _read_member(Path(archive.filename or ""), archive, name, MAX_HEADER))
 
 
 def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[str]:
@@ -55,39 +56,17 @@ def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[
     tables = [name for name in names if name.lower().endswith((".csv", ".csv.gz")) and not is_hidden(name)]
     known = sorted((name for name in tables if stem_of(name) in MEMBERS), key=lambda n: (order.index(stem_of(n)), n))
     others = [name for name in tables if stem_of(name) not in MEMBERS and "meta" not in Path(name).parts]
-    headers = {name: head_of(name).decode("utf-8-sig", "replace") for name in others[:MAX_LOOKED_INTO]}
-    return known + [n for n, head in headers.items() if says_its_sensor(head.partition("\n")[0].strip(), stem_of(n))]
+    for name in others[:MAX_LOOKED_INTO]:
+        with suppress(DataFormatError):  # what cannot be looked into
+            head = head_of(name).decode("utf-8-sig", "replace")
+            known += [name] if says_its_sensor(head.partition("\n")[0].strip(), stem_of(name)) else []
+    return known
 
 
 def is_hidden(name: str) -> bool:
     """Whether this is what a system keeps beside a file (``__MACOSX``, ``._name``)."""
     parts = Path(name.replace("\\", "/")).parts
     return "__MACOSX" in parts or (bool(parts) and parts[-1].startswith("."))
-
-
-def head_of_file(place: Path) -> bytes:
-    """The first bytes of a file; nothing where they cannot be had."""
-    try:
-        return read_bytes(place, MAX_HEADER)
-    except DataFormatError:
-        return b""
-
-
-def head_of_member(archive: zipfile.ZipFile, name: str) -> bytes:
-    """The first bytes of a member; nothing where they cannot be had."""
-    if archive.getinfo(name).flag_bits & 1:
-        return b""
-    with _damage_told(Path(archive.filename or "")), archive.open(name) as stream:
-        return stream.read(MAX_HEADER)
-
-
-@contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
-    """Some decompressors report damage as if it were the machine's."""
-    try:
-        yield
-    except OSError as error:
-        raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
 
 
 def refuse_strays(path: Path, names: Collection[str]) -> None:
@@ -98,9 +77,11 @@ def refuse_strays(path: Path, names: Collection[str]) -> None:
             raise DataFormatError(path, f"holds a name that leaves the archive: {name[:60]!r}")
 
 
-def _read_member(path: Path, archive: zipfile.ZipFile, name: str) -> bytes:
-    info = archive.getinfo(name)
-    if info.flag_bits & 1:
+def _read_member(path: Path, archive: zipfile.ZipFile, name: str, limit: int = -1) -> bytes:
+    if archive.getinfo(name).flag_bits & 1:
         raise DataFormatError(path, f"{name} is encrypted; unpack it first")
-    with _damage_told(path), archive.open(info) as stream:
-        return stream.read()
+    try:
+        with archive.open(name) as stream:
+            return stream.read(limit)
+    except OSError as error:  # some decompressors report damage as if it were the machine's
+        raise DataFormatError(path, f"is a damaged zip archive ({error})") from None

@@ -10,7 +10,7 @@ import numpy as np
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import lines_of, read_tagged
 from magmatch.data.surveyed_points import SurveyedPoints
-from magmatch.data.tables.numbers import decimal_of_cells
+from magmatch.data.tables.number_marks import decimal_of_cells
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix
 

@@ -2,7 +2,7 @@
 """The metadata beside the readings: when phyphox was paused, and which way Sensor Logger's axes point."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,22 +15,21 @@ from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
 
+# Where each app writes it.
+ABOUT = {"phyphox": "meta/time.csv", "Sensor Logger": "Metadata.csv"}
 FORCES: tuple[Sensor, ...] = ("acceleration", "linear_acceleration", "gravity")
 
 
 def with_metadata(path: Path, app: str, streams: Mapping[Sensor, Stream]) -> Mapping[Sensor, Stream]:
     """Readings as the export's own metadata say that they are meant."""
-    if app not in ABOUT or not streams:
-        return streams
-    name, apply = ABOUT[app]
-    if (raw := member(path, name)) is None:
+    if app not in ABOUT or not streams or (raw := member(path, ABOUT[app])) is None:
         return streams
     try:
-        rows = _rows(path / name, raw)
+        rows = _rows(path / ABOUT[app], raw)
     except DataFormatError as error:
         logger.warning("%s; it is left aside", error)
         return streams
-    return apply(path, rows, streams)
+    return _without_pauses(path, rows, streams) if app == "phyphox" else _upright(rows, streams)
 
 
 def _without_pauses(
@@ -75,11 +74,7 @@ def _pauses(rows: Sequence[Mapping[str, str]]) -> list[tuple[float, float]]:
     return sorted(pauses)
 
 
-def _upright(
-    path: Path,  # noqa: ARG001
-    rows: Sequence[Mapping[str, str]],
-    streams: Mapping[Sensor, Stream],
-) -> Mapping[Sensor, Stream]:
+def _upright(rows: Sequence[Mapping[str, str]], streams: Mapping[Sensor, Stream]) -> Mapping[Sensor, Stream]:
     """Accelerations of iPhones point the other way, unless Sensor Logger was told to standardise them."""
     about = rows[0] if rows else {}
     if about.get("platform", "").lower() != "ios" or about.get("standardisation", "").lower() == "true":
@@ -93,11 +88,3 @@ def _rows(place: Path, raw: bytes) -> list[Mapping[str, str]]:
     mark = next((mark for mark in "\t;," if lines and mark in lines[0]), ",")
     head, *rest = [[cell.strip().strip('"').strip() for cell in line.split(mark)] for line in lines] or [[]]
     return [dict(zip(map(str.lower, head), row, strict=False)) for row in rest]
-
-
-_Apply = Callable[[Path, Sequence[Mapping[str, str]], Mapping[Sensor, Stream]], Mapping[Sensor, Stream]]
-# Where each app writes it, and what is made of it.
-ABOUT: Mapping[str, tuple[str, _Apply]] = {
-    "phyphox": ("meta/time.csv", _without_pauses),
-    "Sensor Logger": ("Metadata.csv", _upright),
-}

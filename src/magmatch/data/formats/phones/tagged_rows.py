@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.tables.number_marks import Decimal
-from magmatch.data.tables.numbers import NumberReader, decimal_of_cells
+from magmatch.data.tables.number_marks import Decimal, decimal_of_cells
+from magmatch.data.tables.numbers import NumberReader
 from magmatch.typing import Indices, Matrix
 
 # A row: the line it stands on, counted from 1, its sensor, and a cell for each of the names.
