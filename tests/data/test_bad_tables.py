@@ -206,10 +206,7 @@ EUROC = {
     "negative stamps": ("-5,1,2,3\n-4,1,2,3", "expected whole nanoseconds"),
     "stamps of twenty digits": ("12345678901234567890,1,2,3", "expected whole nanoseconds"),
     "stamps that repeat": ("5,1,2,3\n5,1,2,3", "column 't': time repeats"),
-    "stamps too close for seconds": (
-        "1700000000000000000,1,2,3\n1700000000000000010,1,2,3",
-        "time repeats",
-    ),
+    "stamps too close for seconds": ("1700000000000000000,1,2,3\n1700000000000000010,1,2,3", "time repeats"),
     "two columns": ("5,1\n6,1", "expected rows of t, bx, by, bz"),
     "text": ("1700000000000000000,1,2,3\n1700000001000000000,1,two,3", "line 3, column 'by'"),
     "a short row": ("1700000000000000000,1,2,3\n1700000001000000000,1,2", "line 3: expected 4 cells"),

@@ -31,14 +31,8 @@ def changed(survey, attribute, index, value):
 REFUSED = {
     "empty": (lambda s: s.subset(np.arange(0)), "at least 10 samples, found 0"),
     "nine samples": (lambda s: s.subset(np.arange(9)), "at least 10 samples, found 9"),
-    "NaN position": (
-        lambda s: changed(s, "positions", (4, 1), np.nan),
-        "finite positions, got NaN .* sample 4",
-    ),
-    "infinite field": (
-        lambda s: changed(s, "field", (5, 2), np.inf),
-        "finite field, got NaN .* sample 5",
-    ),
+    "NaN position": (lambda s: changed(s, "positions", (4, 1), np.nan), "finite positions, got NaN .* sample 4"),
+    "infinite field": (lambda s: changed(s, "field", (5, 2), np.inf), "finite field, got NaN .* sample 5"),
     "NaN time": (lambda s: changed(s, "times", 6, np.nan), "finite times, got NaN .* sample 6"),
     "repeated time": (lambda s: changed(s, "times", 7, s.times[6]), "time repeats at sample 7: 3 after 3 s"),
     "backward time": (lambda s: changed(s, "times", 7, 0.0), "time runs backward at sample 7: 0 after 3 s"),

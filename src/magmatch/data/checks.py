@@ -13,14 +13,7 @@ from magmatch.data.order import has_order
 from magmatch.data.sensor_axes import doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import GLOBAL_FRAME
-from magmatch.data.units import (
-    TESLA_PER_UNIT,
-    UNITS_PER_SECOND,
-    LengthUnit,
-    TimeUnit,
-    field_text,
-    likely_field_unit,
-)
+from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError
 from magmatch.number_text import many, told
 from magmatch.typing import Indices, Scalars

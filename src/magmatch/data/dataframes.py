@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.arguments import column_of, expect_kind, found, require_finite
-from magmatch.data.survey_columns import (
-    COLUMNS,
-    FRAME_COLUMN,
-    GLOBAL_COLUMNS,
-    choose_columns,
-    warn_of_unused_times,
-)
+from magmatch.data.survey_columns import COLUMNS, FRAME_COLUMN, GLOBAL_COLUMNS, choose_columns, warn_of_unused_times
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.times import seconds_of_column, seconds_of_dates
 from magmatch.data.units import UNITS_PER_SECOND, TimeUnit, size_of_unit

@@ -78,22 +78,13 @@ MISTAKES = {
     "survey": ("field frame", "turned once too often", "use --field-frame survey (in Python field_frame)"),
     "inverse": ("orientations", "turned the wrong way", "orientations take sensor to survey axes: invert them"),
     "scalar first": ("orientations", "turned by other quaternions", "the scalar comes last: rename qx, qy, qz, qw"),
-    "scalar last": (
-        "orientations",
-        "turned by other quaternions",
-        "the scalar came last in them: rename qx, qy, qz, qw",
-    ),
-    "heading": (
-        "heading",
-        "turned by a heading that is not the walked one",
-        "check where the orientations come from",
-    ),
-    "carried": (
-        "turning",
-        "those of a sensor that turns as it is walked about",
-        "if they are in its axes, use --field-frame sensor and give orientations",
-    ),
-}
+    "scalar last": ("orientations", "turned by other quaternions",
+                    "the scalar came last in them: rename qx, qy, qz, qw"),
+    "heading": ("heading", "turned by a heading that is not the walked one",
+                "check where the orientations come from"),
+    "carried": ("turning", "those of a sensor that turns as it is walked about",
+                "if they are in its axes, use --field-frame sensor and give orientations"),
+}  # fmt: skip
 
 
 def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:

@@ -18,13 +18,7 @@ from magmatch.data.tables.number_marks import plain_text
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.text_rows import listed
-from magmatch.data.units import (
-    METRE_PER_UNIT,
-    TESLA_PER_UNIT,
-    FieldUnit,
-    LengthUnit,
-    size_of_unit,
-)
+from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, FieldUnit, LengthUnit, size_of_unit
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Points, Scalars
 

@@ -95,11 +95,7 @@ def test_numbers_of_every_type_are_read_as_they_were_written(values, is_packed, 
 
 BAD = {
     "other names": ({"mag": FIELD}, None, "expected arrays x, y, z, bx, by, bz; found mag ("),
-    "only the times as named": (
-        {"a": FIELD, "t": TIMES},
-        None,
-        "expected arrays x, y, z, bx, by, bz; found a (",
-    ),
+    "only the times as named": ({"a": FIELD, "t": TIMES}, None, "expected arrays x, y, z, bx, by, bz; found a ("),
     "a name that is not there": (PLAIN, "bx=oops", "expected arrays oops; found "),
     "three columns for one": (NESTED, COLUMNS.replace(":1", "", 1), "expected one column of 40 x 3, data.pos:1"),
     "a fourth of three columns": (NESTED, COLUMNS.replace(":3", ":4", 1), "found 'data.pos:4'"),

@@ -38,10 +38,7 @@ _UNITS: Mapping[str, Sensor] = {
     "µt": "field", "μt": "field", "ut": "field", "m/s^2": "acceleration", "m/s²": "acceleration", "rad/s": "rate",
 }  # fmt: skip
 # Of these two apps: how a table calls its times, which are in 10**-digits s.
-_TIMES: Mapping[str, tuple[str, int]] = {
-    "phyphox": ("time (s)", 0),
-    "AndroSensor": ("time since start in ms", 3),
-}
+_TIMES: Mapping[str, tuple[str, int]] = {"phyphox": ("time (s)", 0), "AndroSensor": ("time since start in ms", 3)}
 _ANDROID_TIME = "event.timestamp"
 _ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
 _ANDROID_VALUE = re.compile(r"(?:event\.)?values?[\[_.]?([0-2])\]?|(?:event\.)?([xyz])")
