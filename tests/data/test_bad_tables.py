@@ -54,7 +54,7 @@ COLUMNS = {
     "NaN": (lambda: at("by", 6, np.nan), "line 7, column 'by': expected a finite number"),
     "null": (lambda: good() | {"x": [0.0] * 4 + [None] + [1.0] * (N - 5)}, "line 5, column 'x'"),
     "text": (lambda: good() | {"x": ["a"] * N}, "column 'x': expected a column of numbers, found string"),
-    "time that repeats": (repeated, "column 't': time repeats"),
+    "time that repeats": (repeated, "line 2, column 't': time repeats"),
     "zero quaternions": (lambda: good() | {f"q{k}": np.zeros(N) for k in "xyzw"}, "zero quaternion"),
     "no rows": (lambda: {key: value[:0] for key, value in good().items()}, "holds no rows"),
 }
@@ -205,7 +205,7 @@ EUROC = {
     "whole seconds with a point": ("1.5,1,2,3\n2.5,1,2,3", "expected whole nanoseconds, found '1.5'"),
     "negative stamps": ("-5,1,2,3\n-4,1,2,3", "expected whole nanoseconds"),
     "stamps of twenty digits": ("12345678901234567890,1,2,3", "expected whole nanoseconds"),
-    "stamps that repeat": ("5,1,2,3\n5,1,2,3", "column 't': time repeats"),
+    "stamps that repeat": ("5,1,2,3\n5,1,2,3", "line 3, column 't': time repeats"),
     "stamps too close for seconds": ("1700000000000000000,1,2,3\n1700000000000000010,1,2,3", "time repeats"),
     "two columns": ("5,1\n6,1", "expected rows of t, bx, by, bz"),
     "text": ("1700000000000000000,1,2,3\n1700000001000000000,1,two,3", "line 3, column 'by'"),

@@ -72,15 +72,6 @@ def test_columns_that_are_no_pairs_are_refused(text, tmp_path, room):
         read_survey(tmp_path / "room.csv", SurveyFormat(columns=text))
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_times_in_other_units(unit, factor, room, tmp_path):
-    pd = pytest.importorskip("pandas")
-    frame = pd.DataFrame(columns_of(room))
-    frame["t"] *= factor
-    frame.to_csv(tmp_path / "room.csv", index=False)
-    np.testing.assert_array_equal(read_survey(tmp_path / "room.csv", SurveyFormat(time_unit=unit)).times, room.times)
-
-
 EUROC_POSES = (
     "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x\n"
 )

@@ -84,13 +84,6 @@ def test_a_column_without_a_name_is_said_to_be_left_out(first, frame, tmp_path, 
     assert "a column without a name is left out; if it holds times, name it t in the header" in caplog.text
 
 
-def test_the_advice_about_a_column_without_a_name_works(frame, tmp_path):
-    frame.set_index(np.arange(N) / 50).to_csv(tmp_path / "s.csv")
-    text = (tmp_path / "s.csv").read_text()
-    (tmp_path / "s.csv").write_text("t" + text)
-    np.testing.assert_array_equal(read_survey(tmp_path / "s.csv").times, np.arange(N) / 50)
-
-
 @pytest.mark.parametrize("name", ["timestamp", "Time", "time_s", "header.stamp"])
 def test_a_column_of_times_with_another_name_is_said_to_be_left_out(name, frame, tmp_path, caplog):
     pytest.importorskip("pyarrow")

@@ -211,30 +211,6 @@ def test_pose_frames_are_two_names(frames, made, flight, saved):
         read_survey(saved(flight.series[0], tf), SurveyFormat(pose_frames=frames))
 
 
-def test_split_recordings_are_one(made, flight, tmp_path):
-    """A ROS 2 bag of two files, as recorders write them when one gets too large."""
-    import yaml
-
-    mag, odom = flight.series
-    expected = read_survey(made.ros2(tmp_path / "whole", [mag, odom]))
-    parts = []
-    for name, rows in (("first", slice(None, 60)), ("second", slice(60, None))):
-        start, stop = (0, 150) if name == "first" else (150, 300)
-        halves = [
-            made.replace(mag, log_ns=mag.log_ns[start:stop], stamp_ns=None, values=mag.values[start:stop]),
-            made.replace(odom, log_ns=odom.log_ns[rows], stamp_ns=None, values=odom.values[rows]),
-        ]
-        parts.append(made.ros2(tmp_path / name, halves))
-    (parts[1] / "second.db3").rename(parts[0] / "second.db3")
-    path = parts[0] / "metadata.yaml"
-    about = yaml.safe_load(path.read_text())
-    about["rosbag2_bagfile_information"]["relative_file_paths"] = ["first.db3", "second.db3"]
-    path.write_text(yaml.safe_dump(about))
-    survey = read_survey(parts[0])
-    np.testing.assert_array_equal(survey.times, expected.times)
-    np.testing.assert_array_equal(survey.field, expected.field)
-
-
 def test_a_topics_rate_is_that_of_its_messages_over_the_time_between_them(made, flight, saved):
     mag, odom = flight.series
     (field,) = (
