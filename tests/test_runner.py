@@ -195,13 +195,6 @@ def test_what_was_used_longest_ago_is_given_up_and_all_that_is_asked_for_is_give
     assert done == [1]
 
 
-def test_what_stands_for_an_argument_stays_here_and_its_key_goes_along():
-    one = Shared(summed, (np.arange(3),), 3, about=(np.zeros(1000),))
-    sent = pickle.loads(pickle.dumps(one))
-    assert sent.about is None
-    assert sent.key == one.key
-
-
 def test_no_worker_is_asked_where_there_is_nothing_to_do(tmp_path):
     def nobody(function, tasks):
         raise AssertionError

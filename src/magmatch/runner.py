@@ -12,11 +12,10 @@ that, and an input that has changed finds nothing.
 import copyreg
 import hashlib
 import logging
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache, cached_property, partial
-from itertools import chain, islice
+from itertools import chain, islice, tee
 from pathlib import Path
 from threading import Lock
 from time import monotonic
@@ -94,36 +93,25 @@ class Runner:
 
         ``what``: tells progress in these words, for a sequence of tasks; ``keep=False``: nothing of it goes to disk.
         """
-        memo, waiting = self._memo if keep else None, deque[tuple[str, bool]]()
-        tasks, n_tasks = iter(tasks), len(tasks) if isinstance(tasks, Sequence) else 0
+        memo = self._memo if keep else None
+        asked, answered = tee(self._looked_up(function, tasks, memo))
+        execute = self._here if self._workers is None else self._elsewhere
+        new = execute(function, (task for task, _, is_known in asked if not is_known))
+        for k, (_, key, is_known) in enumerate(answered):
+            if what is not None and isinstance(tasks, Sequence):
+                tell(what, k / len(tasks))
+            result = memo.known[key] if memo is not None and is_known else next(new)
+            if memo is not None and not is_known:
+                memo.add(key, result)
+            yield result
 
-        def missing() -> Iterator[Task]:
-            for task in tasks:
-                about = task.arguments if task.about is None else task.about
-                key = "" if memo is None else key_of(function, about)
-                waiting.append((key, memo is not None and key in memo.known))
-                if not waiting[-1][1]:
-                    yield task
-
-        def results() -> Iterator[R]:
-            execute = self._here if self._workers is None else self._elsewhere
-            for result in execute(function, missing()):
-                yield from known()
-                key, _ = waiting.popleft()
-                if memo is not None:
-                    memo.add(key, result)
-                yield result
-            yield from known()
-
-        def known() -> Iterator[R]:
-            while memo is not None and waiting and waiting[0][1]:
-                yield memo.known[waiting.popleft()[0]]
-
-        found = results()
-        for k in range(n_tasks) if what else ():
-            tell(what or "", k / n_tasks)
-            yield next(found)
-        yield from found
+    def _looked_up(
+        self, function: Callable[..., R], tasks: Iterable[Task], memo: "Memo | None"
+    ) -> Iterator[tuple[Task, str, bool]]:
+        """Each task with its key, and whether its result is known."""
+        for task in tasks:
+            key = "" if memo is None else key_of(function, task.arguments if task.about is None else task.about)
+            yield task, key, memo is not None and key in memo.known
 
     def _here(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         # Not by threads: most functions hold the interpreter so often that two at once take longer than in turn.
