@@ -12,6 +12,7 @@ that, and an input that has changed finds nothing.
 import copyreg
 import hashlib
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache, cached_property, partial
@@ -39,6 +40,8 @@ SCHEMA, ENDING = "magmatch.results/1", ".results"
 KEEP_EVERY_S = 5.0
 # Tasks for which this process makes what they share at once.
 AT_ONCE = 32
+# Tasks that one process had better do, as it has what they share; of more at once, other processes make it too.
+MOST_TOGETHER = 16
 # What a process keeps of shared arguments, by their size in samples: of maps, at about six kilobytes a sample.
 MOST_SHARED = 250_000
 T = TypeVar("T")
@@ -54,18 +57,15 @@ class Shared(Generic[T]):
     make: Callable[..., T]
     arguments: tuple[Any, ...]
     size: int  # samples
-    about: tuple[Any, ...] | None = None
-    # Whether all processes had better make it, instead of one that does all tasks that share it.
-    is_everywhere: bool = False
 
     @cached_property
     def key(self) -> str:
         """SHA-256 that stands for it."""
-        return key_of(self.make, self.arguments if self.about is None else self.about)
+        return key_of(self.make, self.arguments)
 
     def __getstate__(self) -> dict[str, Any]:
         # Who receives it knows it by its key, which is computed once.
-        return self.__dict__ | {"key": self.key, "about": None}
+        return self.__dict__ | {"key": self.key}
 
 
 class Runner:
@@ -76,7 +76,7 @@ class Runner:
         if workers is not None and not callable(workers):
             msg = f"run: expected a callable such as magmatch.DaskRunner, got {workers!r:.40}"
             raise TypeError(msg)
-        self._workers, self._shelf, self._affinities = workers, Shelf(), dict[str, int]()
+        self._workers, self._shelf, self._affinities = workers, Shelf(), dict[tuple[str, int], int]()
         self._memo = None if keep is None else Memo(Path(keep), kinds)
 
     def __enter__(self) -> Self:
@@ -110,7 +110,7 @@ class Runner:
     ) -> Iterator[tuple[Task, str, bool]]:
         """Each task with its key, and whether its result is known."""
         for task in tasks:
-            key = "" if memo is None else key_of(function, task.arguments if task.about is None else task.about)
+            key = "" if memo is None else key_of(function, task.arguments)
             yield task, key, memo is not None and key in memo.known
 
     def _here(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
@@ -122,15 +122,20 @@ class Runner:
 
     def _elsewhere(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         assert self._workers is not None
+        n_before = Counter[str]()
         # Workers are started for the first task, not for none.
         for first in tasks:
-            sent = (replace(task, about=None, affinity=self._affinity(task)) for task in chain([first], tasks))
+            sent = (replace(task, affinity=self._affinity(task, n_before)) for task in chain([first], tasks))
             yield from self._workers(partial(_run, function), sent)
 
-    def _affinity(self, task: Task) -> int | None:
-        """Tasks that share an argument have one number: by the order in which these were first asked for."""
-        keys = [one.key for one in _shared_by([task]) if not one.is_everywhere]
-        return self._affinities.setdefault(keys[0], len(self._affinities)) if keys else None
+    def _affinity(self, task: Task, n_before: Counter[str]) -> int | None:
+        """Some tasks that share an argument have one number: by the order in which these were first asked for."""
+        key = next((one.key for one in _shared_by([task])), None)
+        if key is None:
+            return None
+        n_before[key] += 1
+        part = key, (n_before[key] - 1) // MOST_TOGETHER
+        return self._affinities.setdefault(part, len(self._affinities))
 
 
 class Shelf:
@@ -194,10 +199,10 @@ class Memo:
         self._new, self._written = {}, monotonic()
 
 
-def key_of(function: Callable[..., Any], about: Sequence[Any]) -> str:
+def key_of(function: Callable[..., Any], arguments: Sequence[Any]) -> str:
     """SHA-256 of a function's name, the content of its arguments, and the program."""
     digest = hashlib.sha256(program().encode())
-    _feed(digest, (function, *about))
+    _feed(digest, (function, *arguments))
     return digest.hexdigest()
 
 
@@ -236,6 +241,8 @@ def _feed(digest: Any, value: Any) -> None:
             digest.update(f"{value!r};".encode())
         case _ if callable(value):
             digest.update(f"{value.__module__}.{value.__qualname__};".encode())
+        case _ if hasattr(value, "follows_from"):
+            _feed(digest, value.follows_from)
         case _ if is_dataclass(value):
             _feed(digest, [type(value).__name__, *(getattr(value, name) for name in saved_fields(value))])
         case _:
