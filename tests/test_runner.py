@@ -195,13 +195,6 @@ def test_what_was_used_longest_ago_is_given_up_and_all_that_is_asked_for_is_give
     assert done == [1]
 
 
-def test_what_stands_for_an_argument_stays_here_and_its_key_goes_along():
-    one = Shared(summed, (np.arange(3),), 3, about=(np.zeros(1000),))
-    sent = pickle.loads(pickle.dumps(one))
-    assert sent.about is None
-    assert sent.key == one.key
-
-
 def test_no_worker_is_asked_where_there_is_nothing_to_do(tmp_path):
     def nobody(function, tasks):
         raise AssertionError
@@ -210,10 +203,10 @@ def test_no_worker_is_asked_where_there_is_nothing_to_do(tmp_path):
     assert len(run_all(double, tasks_of([np.ones(2)]), tmp_path / "kept", nobody)) == 1
 
 
-def test_tasks_that_share_an_argument_have_one_affinity_and_others_have_none():
+def test_tasks_that_share_an_argument_have_one_affinity_unless_they_are_many_and_others_have_none():
     shared = [Shared(summed, (np.arange(n),), n) for n in (3, 4)]
-    everywhere = replace(shared[0], is_everywhere=True)
-    tasks = [Task("a total", (np.zeros(1), one)) for one in (*shared, shared[0], everywhere, np.zeros(1))]
+    some = (*shared, shared[0], np.zeros(1), *[shared[1]] * module.MOST_TOGETHER)
+    tasks = [Task("a total", (np.zeros(1), one)) for one in some]
     seen = []
 
     def workers(function, packed):
@@ -222,7 +215,8 @@ def test_tasks_that_share_an_argument_have_one_affinity_and_others_have_none():
             yield function(one)
 
     run_all(total, tasks, workers=workers)
-    assert seen == [("a total", k) for k in (0, 1, 0, None, None)]
+    numbers = [0, 1, 0, None, *[1] * (module.MOST_TOGETHER - 1), 2]
+    assert seen == [("a total", k) for k in numbers]
 
 
 def test_rigid_transforms_are_sent_as_they_are():

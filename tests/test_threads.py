@@ -35,10 +35,6 @@ def test_a_fault_in_a_part_is_raised():
         on_one_core(side_by_side, fail, range(2))
 
 
-def test_results_come_in_the_order_of_their_parts():
-    assert side_by_side(lambda k: k * k, range(9)) == [k * k for k in range(9)]
-
-
 def test_parts_of_parts_never_take_more_cores_than_there_are(monkeypatch):
     monkeypatch.setattr("magmatch.threads._spare_cores", threading.Semaphore(2))
     lock, running, most = threading.Lock(), [0], [0]
@@ -71,12 +67,6 @@ def test_limits_of_a_task_hold_for_its_parts():
     context = contextvars.ContextVar("context", default=0)
     context.set(7)
     assert side_by_side(lambda _: context.get(), range(3)) == [7, 7, 7]
-
-
-def test_a_worker_stays_on_its_thread():
-    threads = set()
-    on_one_core(side_by_side, lambda _: threads.add(threading.get_ident()), range(4))
-    assert threads == {threading.get_ident()}
 
 
 def test_factor_and_inverse_have_the_same_bits_on_one_core_and_on_several():

@@ -7,7 +7,6 @@ slices or array expressions: each drags more of numba's library through the comp
 """
 
 import atexit
-import gc
 import logging
 import subprocess
 import sys
@@ -122,31 +121,6 @@ def _is_ours(compilation: event.Event) -> bool:
     return bool(compilation.data["dispatcher"].py_func.__module__.startswith("magmatch."))
 
 
-class NoCollection(event.Listener):
-    """No garbage is collected while a loop compiles: the compiler keeps what it makes."""
-
-    def __init__(self) -> None:
-        self._depth = 0
-        self._was_on = False
-
-    def on_start(self, event: event.Event) -> None:
-        """Hear of a compilation, perhaps inside another."""
-        if not _is_ours(event):
-            return
-        if self._depth == 0:
-            self._was_on = gc.isenabled()
-            gc.disable()
-        self._depth += 1
-
-    def on_end(self, event: event.Event) -> None:
-        """Collect again after the outermost."""
-        if not _is_ours(event):
-            return
-        self._depth -= 1
-        if self._depth == 0 and self._was_on:
-            gc.enable()
-
-
 class FirstUse(event.Listener):
     """Loops that are not in the cache say why it takes longer, report progress, and at the first give help.
 
@@ -198,4 +172,3 @@ def _end(helper: subprocess.Popen[bytes]) -> None:
 
 FIRST_USE = FirstUse()
 event.register("numba:compile", FIRST_USE)  # type: ignore[no-untyped-call]
-event.register("numba:compile", NoCollection())  # type: ignore[no-untyped-call]

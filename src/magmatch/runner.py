@@ -12,11 +12,11 @@ that, and an input that has changed finds nothing.
 import copyreg
 import hashlib
 import logging
-from collections import deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from functools import cache, cached_property, partial
-from itertools import chain, islice
+from itertools import chain, islice, tee
 from pathlib import Path
 from threading import Lock
 from time import monotonic
@@ -40,6 +40,8 @@ SCHEMA, ENDING = "magmatch.results/1", ".results"
 KEEP_EVERY_S = 5.0
 # Tasks for which this process makes what they share at once.
 AT_ONCE = 32
+# Tasks that one process had better do, as it has what they share; of more at once, other processes make it too.
+MOST_TOGETHER = 16
 # What a process keeps of shared arguments, by their size in samples: of maps, at about six kilobytes a sample.
 MOST_SHARED = 250_000
 T = TypeVar("T")
@@ -55,18 +57,15 @@ class Shared(Generic[T]):
     make: Callable[..., T]
     arguments: tuple[Any, ...]
     size: int  # samples
-    about: tuple[Any, ...] | None = None
-    # Whether all processes had better make it, instead of one that does all tasks that share it.
-    is_everywhere: bool = False
 
     @cached_property
     def key(self) -> str:
         """SHA-256 that stands for it."""
-        return key_of(self.make, self.arguments if self.about is None else self.about)
+        return key_of(self.make, self.arguments)
 
     def __getstate__(self) -> dict[str, Any]:
         # Who receives it knows it by its key, which is computed once.
-        return self.__dict__ | {"key": self.key, "about": None}
+        return self.__dict__ | {"key": self.key}
 
 
 class Runner:
@@ -77,7 +76,7 @@ class Runner:
         if workers is not None and not callable(workers):
             msg = f"run: expected a callable such as magmatch.DaskRunner, got {workers!r:.40}"
             raise TypeError(msg)
-        self._workers, self._shelf, self._affinities = workers, Shelf(), dict[str, int]()
+        self._workers, self._shelf, self._affinities = workers, Shelf(), dict[tuple[str, int], int]()
         self._memo = None if keep is None else Memo(Path(keep), kinds)
 
     def __enter__(self) -> Self:
@@ -94,36 +93,25 @@ class Runner:
 
         ``what``: tells progress in these words, for a sequence of tasks; ``keep=False``: nothing of it goes to disk.
         """
-        memo, waiting = self._memo if keep else None, deque[tuple[str, bool]]()
-        tasks, n_tasks = iter(tasks), len(tasks) if isinstance(tasks, Sequence) else 0
+        memo = self._memo if keep else None
+        asked, answered = tee(self._looked_up(function, tasks, memo))
+        execute = self._here if self._workers is None else self._elsewhere
+        new = execute(function, (task for task, _, is_known in asked if not is_known))
+        for k, (_, key, is_known) in enumerate(answered):
+            if what is not None and isinstance(tasks, Sequence):
+                tell(what, k / len(tasks))
+            result = memo.known[key] if memo is not None and is_known else next(new)
+            if memo is not None and not is_known:
+                memo.add(key, result)
+            yield result
 
-        def missing() -> Iterator[Task]:
-            for task in tasks:
-                about = task.arguments if task.about is None else task.about
-                key = "" if memo is None else key_of(function, about)
-                waiting.append((key, memo is not None and key in memo.known))
-                if not waiting[-1][1]:
-                    yield task
-
-        def results() -> Iterator[R]:
-            execute = self._here if self._workers is None else self._elsewhere
-            for result in execute(function, missing()):
-                yield from known()
-                key, _ = waiting.popleft()
-                if memo is not None:
-                    memo.add(key, result)
-                yield result
-            yield from known()
-
-        def known() -> Iterator[R]:
-            while memo is not None and waiting and waiting[0][1]:
-                yield memo.known[waiting.popleft()[0]]
-
-        found = results()
-        for k in range(n_tasks) if what else ():
-            tell(what or "", k / n_tasks)
-            yield next(found)
-        yield from found
+    def _looked_up(
+        self, function: Callable[..., R], tasks: Iterable[Task], memo: "Memo | None"
+    ) -> Iterator[tuple[Task, str, bool]]:
+        """Each task with its key, and whether its result is known."""
+        for task in tasks:
+            key = "" if memo is None else key_of(function, task.arguments)
+            yield task, key, memo is not None and key in memo.known
 
     def _here(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         # Not by threads: most functions hold the interpreter so often that two at once take longer than in turn.
@@ -134,15 +122,20 @@ class Runner:
 
     def _elsewhere(self, function: Callable[..., R], tasks: Iterator[Task]) -> Iterator[R]:
         assert self._workers is not None
+        n_before = Counter[str]()
         # Workers are started for the first task, not for none.
         for first in tasks:
-            sent = (replace(task, about=None, affinity=self._affinity(task)) for task in chain([first], tasks))
+            sent = (replace(task, affinity=self._affinity(task, n_before)) for task in chain([first], tasks))
             yield from self._workers(partial(_run, function), sent)
 
-    def _affinity(self, task: Task) -> int | None:
-        """Tasks that share an argument have one number: by the order in which these were first asked for."""
-        keys = [one.key for one in _shared_by([task]) if not one.is_everywhere]
-        return self._affinities.setdefault(keys[0], len(self._affinities)) if keys else None
+    def _affinity(self, task: Task, n_before: Counter[str]) -> int | None:
+        """Some tasks that share an argument have one number: by the order in which these were first asked for."""
+        key = next((one.key for one in _shared_by([task])), None)
+        if key is None:
+            return None
+        n_before[key] += 1
+        part = key, (n_before[key] - 1) // MOST_TOGETHER
+        return self._affinities.setdefault(part, len(self._affinities))
 
 
 class Shelf:
@@ -206,10 +199,10 @@ class Memo:
         self._new, self._written = {}, monotonic()
 
 
-def key_of(function: Callable[..., Any], about: Sequence[Any]) -> str:
+def key_of(function: Callable[..., Any], arguments: Sequence[Any]) -> str:
     """SHA-256 of a function's name, the content of its arguments, and the program."""
     digest = hashlib.sha256(program().encode())
-    _feed(digest, (function, *about))
+    _feed(digest, (function, *arguments))
     return digest.hexdigest()
 
 
@@ -248,6 +241,8 @@ def _feed(digest: Any, value: Any) -> None:
             digest.update(f"{value!r};".encode())
         case _ if callable(value):
             digest.update(f"{value.__module__}.{value.__qualname__};".encode())
+        case _ if hasattr(value, "follows_from"):
+            _feed(digest, value.follows_from)
         case _ if is_dataclass(value):
             _feed(digest, [type(value).__name__, *(getattr(value, name) for name in saved_fields(value))])
         case _:

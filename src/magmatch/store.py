@@ -72,9 +72,7 @@ def load(path: str | Path, schema: str, kinds: Kinds = ()) -> dict[str, Any]:
     DataFormatError
         No such file, or it is damaged, of another schema, or holds a class that is not among `kinds`.
     """
-    stored = open_stored(path, schema, is_mapped=False)
-    stored.check()
-    return stored.content(kinds, own=True)
+    return loads(read_bytes(path, MAX_BYTES + 1), schema, kinds, path)
 
 
 def dumps(schema: str, content: Mapping[str, Any]) -> bytes:

@@ -35,7 +35,6 @@ class Task:
 
     name: str
     arguments: tuple[Any, ...]
-    about: tuple[Any, ...] | None = None  # stands for arguments that cannot be hashed
     affinity: int | None = None  # tasks of one number had better be done by one worker, which has what they share
 
 

@@ -6,7 +6,6 @@ import io
 import os
 import re
 import resource
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -84,10 +83,8 @@ def test_a_disk_that_fails_is_named_and_the_old_file_stays(fault, writer, tmp_pa
 
 
 COMMANDS = {
-    "convert": ["convert", "{survey}", "{out}/other.parquet"],
     "map": ["map", "{survey}", "--out", "{out}/room.map", "--config", "{folder}/field.yaml"],
     "view": ["view", "{survey}", "--out", "{out}/page.html"],
-    "simulate": ["simulate", "uniform", "--out", "{out}"],
 }
 
 
@@ -126,40 +123,13 @@ def check_fault(done, out, before):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="limits the size of files the POSIX way")
-@pytest.mark.parametrize("name", ["map", "view"])
+@pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_that_may_not_write_so_much_says_so(name, folder, tmp_path):
     old = {Path(word).name: b"old" for word in COMMANDS[name] if word.startswith("{out}/")}
     for file, content in old.items():
         (tmp_path / file).write_bytes(content)
     done = run_limited(COMMANDS[name], folder, tmp_path, limit=2000)
     assert os.strerror(errno.EFBIG) in check_fault(done, tmp_path, old)
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A file system of 64 KiB, where one can be mounted."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mount = shutil.which("mount")
-    made = mount and os.geteuid() == 0 and subprocess.run(
-        [mount, "-t", "tmpfs", "-o", "size=64k", "tmpfs", place], capture_output=True, check=False
-    ).returncode == 0  # fmt: skip
-    if not made:
-        pytest.skip("mounting a small disk takes root")
-    yield place
-    subprocess.run([shutil.which("umount"), place], check=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["convert", "simulate"])
-def test_a_full_disk_is_said_and_changes_nothing(name, folder, small_disk):
-    for word in COMMANDS[name]:
-        if word.startswith("{out}/"):
-            (small_disk / Path(word).name).write_bytes(b"old")
-    (small_disk / "ballast").write_bytes(bytes(52_000))
-    before = {p.name: p.read_bytes() for p in small_disk.iterdir()}
-    done = run_limited(COMMANDS[name], folder, small_disk)
-    assert os.strerror(errno.ENOSPC) in check_fault(done, small_disk, before)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

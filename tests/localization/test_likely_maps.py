@@ -53,14 +53,6 @@ def test_a_walk_of_no_map_in_the_folder_is_nowhere(folder):
     assert "none of the maps" in tell(track.result())
 
 
-@pytest.mark.parametrize("live", [False, True])
-def test_a_likelier_map_is_named_before_one_less_likely_and_probabilities_sum_to_less_than_one(folder, live):
-    log, _ = drifting_walk(Place(41), 53, laps=0.4, start=2.0)
-    maps = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True), live=live).result().maps
-    assert list(maps.values()) == sorted(maps.values(), reverse=True)
-    assert 0 < sum(maps.values()) <= 1 + 1e-12
-
-
 class Aside:
     """A loader that works when it is told to."""
 
@@ -99,13 +91,6 @@ def test_no_sample_waits_for_votes_or_for_a_map_that_is_made_ready_aside(folder)
     assert np.linalg.norm(now.T_map_body.translation - truth[-1]) < 0.3
     # No map is held for a body that stopped waiting for it.
     assert not known._making
-
-
-def test_a_rigid_survey_is_still_registered_to_an_atlas(folder):
-    _, truth = drifting_walk(Place(42), 53, laps=0.6)
-    result = mm.register(mm.open_atlas(folder), mm.Survey(truth, Place(42).field(truth)))
-    assert isinstance(result, mm.RegistrationResult)
-    assert result.base in ("hall.map", None)
 
 
 def update(localizer, log, rows):

@@ -301,13 +301,3 @@ def test_a_body_that_was_out_of_the_map_is_found_again_soon_after_it_is_back(pla
     # Five of the map's field lengths.
     assert np.argmax(is_stated) / len(said) * 0.8 * 20.8 < 3.0
     assert is_stated[len(said) // 2 :].all()
-
-
-def test_whatever_spoke_for_a_hypothesis_before_a_contradiction_it_counts_as_little(place, followed):
-    localizer = mm.Localizer(place)
-    feed(localizer, followed.log, slice(0, 100))
-    belief = localizer._maps.best
-    belief._bank["earlier"] = 50.0
-    belief.doubt()
-    # The prior odds that nothing ended.
-    assert belief._bank["earlier"].max() <= np.log(100) + 1e-9

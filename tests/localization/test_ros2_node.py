@@ -132,13 +132,6 @@ def test_drift_is_corrected_while_mapping(mapped):
     assert trajectory_error(truth[stated][half:], live[half:]) < 0.7 * before
 
 
-def test_nothing_is_said_before_the_field_is_learned(mapped):
-    found = mapped[0]
-    assert found[0][2] is None
-    first = next(n for n, _, made in found if made is not None)
-    assert all(made is not None for _, _, made in found[first:])
-
-
 def test_a_pose_of_mapping_states_its_doubt_and_agrees_with_its_transform(mapped):
     _, T_odom_body, (pose, frame) = mapped[0][-1]
     C = np.reshape(pose.pose.covariance, (6, 6))

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.localization.hindsight.smooth import join, reversed_log
+from magmatch.localization.hindsight.smooth import join
 from magmatch.localization.hindsight.stretches import agreement, believed, stretches
 from magmatch.localization.localize import localize
 
@@ -41,12 +41,6 @@ def test_hindsight_knows_the_beginning_too_and_errs_less(place, followed):
     ]
     rms = [np.sqrt(((p - followed.truth[both]) ** 2).sum(axis=1).mean()) for p in found]
     assert rms[0] < rms[1]
-
-
-def test_a_log_reversed_twice_is_the_log(followed):
-    again = reversed_log(reversed_log(followed.log))
-    np.testing.assert_array_equal(again.positions, followed.log.positions)
-    np.testing.assert_array_equal(again.times, followed.log.times)
 
 
 def test_two_estimates_meet_by_their_weights_and_claim_no_more_than_the_better():

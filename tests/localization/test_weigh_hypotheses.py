@@ -86,9 +86,9 @@ def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it
     a, b = (belief._bank[:1].copy() for _ in range(2))
     sizes = []
     for n in range(60, len(log)):
-        end = belief._window._end
+        steps = belief._window.steps
         localizer.update(log.times[n], poses[n], z[n])
-        if belief._window._end == end:
+        if belief._window.steps is steps:
             continue
         for one, model in ((a, usual), (b, usual._replace(**worse))):
             follow(one, known, model, belief._window.steps[-1:], np.zeros((1, 1), FIT), moves_first=True)

@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.preparation.odometry.drift import OdometryConfig
-from magmatch.slam.bending import bend, lasting_errors, turned
+from magmatch.slam.bending import bend, lasting_errors
 
 RNG = np.random.default_rng(3)
 PATH = np.cumsum(RNG.normal(size=(9, 3)), axis=0)
@@ -61,27 +61,3 @@ def test_lasting_errors_are_the_slopes_of_scale_and_turn_rate(about):
 
 def test_without_an_upright_carrier_no_turn_rate_lasts():
     assert not lasting_errors(PATH, 0, upright=False)[:, :, 1].any()
-
-
-def test_the_spread_of_the_end_is_that_of_many_walks():
-    loads = bend(PATH, 0, CONFIG, upright=True, planar=True)[-1]
-    rng = np.random.default_rng(0)
-    ends = []
-    for _ in range(2000):
-        turns = rng.normal(size=(len(STEPS), 1)) * [0, 0, 1] * CONFIG.rotation_sd * np.sqrt(LENGTHS)[:, None]
-        turns = turns + rng.normal() * CONFIG.turn_rate_sd * LENGTHS[:, None] * [0, 0, 1]
-        shifts = rng.normal(size=(len(STEPS), 3)) * [1, 1, 0] * CONFIG.translation_sd * np.sqrt(LENGTHS)[:, None]
-        turn, shift = dead_reckoned(turns, shifts, rng.normal() * CONFIG.scale_sd, 0)
-        ends.append(np.concatenate([turn[-1], shift[-1]]))
-    sampled, stated = np.cov(np.array(ends).T), loads @ loads.T
-    scale = np.sqrt(np.maximum(np.diagonal(stated), 1e-12))
-    # Two thousand walks give a covariance to some percent, and turns of a tenth of a radian are not quite linear.
-    np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.12)
-
-
-def test_turned_loads_are_those_of_the_turned_path():
-    R = Rotation.from_rotvec([0.0, 0.0, 0.7]).as_matrix()
-    here = bend(PATH, 2, CONFIG, upright=False, planar=False)
-    there = bend(PATH @ R.T, 2, CONFIG, upright=False, planar=False)
-    spread = np.einsum("nim,njm->nij", turned(here, R), turned(here, R))
-    np.testing.assert_allclose(spread, np.einsum("nim,njm->nij", there, there), atol=1e-9)

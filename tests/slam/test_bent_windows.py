@@ -25,12 +25,6 @@ def test_logs_that_odometry_may_bend_at_will_stay_as_they_came_and_are_told_why(
     assert not session.graph.closures
 
 
-def test_a_window_bends_by_more_the_worse_odometry_is(lone):
-    (window, *_) = lone.session.paths[0].windows
-    assert window.keeps_shape
-    assert 0 < window.bends_by < window.length
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_what_it_is(lone, seed):
     """The field is not linear over so much: the shape has to be fitted for the evidence to be seen."""

@@ -162,14 +162,6 @@ def test_bad_samples_are_refused_and_harm_nothing():
     assert len(session.given[0]) == 40
 
 
-def test_microtesla_taken_for_tesla_are_refused_on_the_way():
-    log, _ = drifting_walk(Place(1), 1)
-    session = mm.Session()
-    log = replace(log, field=1e6 * log.field)
-    with pytest.raises(ValueError, match="multiply by 1e-6"):
-        feed(session, log)
-
-
 def test_a_robot_that_stands_stays_where_it_is():
     rng = np.random.default_rng(0)
     session = mm.Session()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from drifting import made
 from magmatch.registration.search.retrieval import shortlist
 from magmatch.runner import Runner
 from magmatch.slam import loop_search
@@ -16,7 +15,6 @@ from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.loop_search import MOST_PASSES, LoopSearch
-from magmatch.slam.search.submaps import TOGETHER
 
 # Log densities of a prior that knows a place to some hundred metres.
 NOWHERE = -14.0
@@ -43,19 +41,6 @@ def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(clo
         assert set(voted) <= set(nodes)
         hits += np.abs(voted - c.first).min() <= 1
     assert hits >= 0.8 * len(closures)
-
-
-def test_each_node_has_one_stretch_that_ends_before_the_window(lone):
-    places = lone.session._now
-    window = places.paths[0].windows[7]
-    nodes, search = np.arange(7), LoopSearch(places, Runner())
-    found = search.by_submap(nodes, window)
-    assert sorted(np.concatenate(list(found.values())).tolist()) == list(range(6))
-    for a, some in found.items():
-        assert set(some) <= set(range(a, a + TOGETHER))
-        inside = made(search.submap(a)).node
-        assert {max(a - 1, 0), a + TOGETHER} <= set(inside.tolist()) < set(range(window.node))
-        assert all(search.submap(int(node)) is search.submap(a) for node in some)
 
 
 def test_a_window_is_compared_with_few_passes(lone, monkeypatch):

@@ -2,17 +2,17 @@
 """Merge: rigid surveys find one frame, strangers stay apart, and a registration that is wrong is outvoted."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 from scipy.stats import kstest
 
 from drifting import Place
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
-from magmatch.geometry import covariance_about, exp_se3, log_se3, random_transform, transform_error
+from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging
@@ -88,60 +88,45 @@ def test_maps_are_taken_as_the_surveys_they_were_made_of(session, surveys):
     assert [entry["sha256"] for entry in both.inputs] == [entry["sha256"] for entry in session.result().inputs[:2]]
 
 
-def test_a_covariance_about_a_point_is_that_of_the_point():
-    rng = np.random.default_rng(1)
-    L = np.tril(rng.normal(size=(6, 6))) * np.array([1e-3] * 3 + [0.01] * 3)[:, None]
-    point, T = np.array([20.0, -10.0, 3.0]), random_transform(rng)
-    xi = (L @ rng.normal(size=(6, 2000))).T
-    at = RigidTransform.from_translation(point)
-    # The same poses, said of a frame that has its origin at the point.
-    about = np.array([log_se3((T * at).inv() * (T * exp_se3(x) * at)) for x in xi])
-    stated, sampled = covariance_about(L @ L.T, point), np.cov(about.T)
-    scale = np.sqrt(np.diagonal(stated))
-    np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.1)
+TRUE = [random_transform(np.random.default_rng(k)) for k in range(5)]
+C = np.diag([1e-3] * 3 + [5e-3] * 3) ** 2
+
+
+def graph_of(seed, odds, wrong=None):
+    """Five surveys, laid out by all pairs: of errors drawn from what is stated, but for one pair of larger odds."""
+    rng, graph = np.random.default_rng(seed), merging._unconnected(np.zeros((5, 3)))
+    graph.closures = [
+        Closure(a, b, TRUE[a].inv() * TRUE[b] * exp_se3(np.sqrt(np.diag(C)) * rng.normal(size=6)), C, odds)
+        for a, b in combinations(range(5), 2)
+    ]
+    if wrong:
+        error = exp_se3(np.array([0.0, 0.0, 0.4, 1.0, -0.5, 0.2]))
+        graph.closures = [
+            replace(c, T_first_second=TRUE[c.first].inv() * TRUE[c.second] * error, log_odds=odds + 1)
+            if (c.first, c.second) == wrong else c
+            for c in graph.closures
+        ]  # fmt: skip
+    merging._lay_out(graph)
+    for _ in range(2):  # factors are of where a solution began
+        solve(graph)
+    return graph
 
 
 def test_what_right_registrations_leave_against_the_others_is_chi_square_of_six():
-    """Each pair against what the other nine predict, of errors drawn from what is stated."""
-    T, C = [random_transform(np.random.default_rng(k)) for k in range(5)], np.diag([1e-3] * 3 + [5e-3] * 3) ** 2
-    found = []
-    for seed in range(8):
-        rng, graph = np.random.default_rng(seed), merging._unconnected(np.zeros((5, 3)))
-        graph.closures = [
-            Closure(a, b, T[a].inv() * T[b] * exp_se3(np.sqrt(np.diag(C)) * rng.normal(size=6)), C, 12.0)
-            for a in range(5) for b in range(a + 1, 5)
-        ]  # fmt: skip
-        merging._lay_out(graph)
-        for _ in range(2):  # factors are of where a solution began
-            solve(graph)
-        found.append(surprises(graph)[0])
-    assert kstest(np.concatenate(found), "chi2", (6,)).pvalue > 0.01
+    """Each pair against what the other nine predict."""
+    found = np.concatenate([surprises(graph_of(seed, 12.0))[0] for seed in range(8)])
+    assert kstest(found, "chi2", (6,)).pvalue > 0.01
 
 
 def test_a_registration_that_the_others_contradict_is_voted_out():
-    """Five surveys, all pairs right but one: the least squares begins with the wrong one believed."""
-    T = [random_transform(np.random.default_rng(k)) for k in range(5)]
-    graph = merging._unconnected(np.zeros((5, 3)))
-    C = np.diag([1e-3] * 3 + [5e-3] * 3) ** 2
-    rng = np.random.default_rng(0)
-    pairs = [(a, b) for a in range(5) for b in range(a + 1, 5)]
-    for a, b in pairs:
-        error = exp_se3(np.linalg.cholesky(C) @ rng.normal(size=6))
-        if (a, b) == (1, 3):
-            error = exp_se3(np.array([0.0, 0.0, 0.4, 1.0, -0.5, 0.2]))
-        graph.closures = [
-            *graph.closures,
-            Closure(a, b, T[a].inv() * T[b] * error, C, 8.0 if (a, b) == (1, 3) else 7.0),
-        ]
-    merging._lay_out(graph)
-    solve(graph)
+    """The least squares begins with the wrong one believed."""
+    graph = graph_of(0, 7.0, wrong=(1, 3))
     weights = {(c.first, c.second): c.weight for c in graph.closures}
     assert weights.pop((1, 3)) < 0.01
     # Of nine that are right one is in the tail beyond a hundredth.
     assert min(weights.values()) > 0.8
-    for k in range(5):
-        error = log_se3((T[0] * graph.pose(k)).inv() * T[k])
-        assert np.abs(error).max() < 0.02
+    for k, T in enumerate(TRUE):
+        assert np.abs(log_se3((TRUE[0] * graph.pose(k)).inv() * T)).max() < 0.02
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The last look: windows on one map of their log's earlier passes, and on one of its later passes."""
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,20 +8,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drifting import Place, drifting_walk, trajectory_error
-from magmatch import runner
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.output.folder import write_folder
 from magmatch.slam.output.kept_session import read_session
-from magmatch.slam.refine import KnownPath
 from magmatch.slam.run import slam
-from other_process import elsewhere
-
-
-def assert_same(session, other):
-    for name in ("p", "R", "lasting"):
-        np.testing.assert_array_equal(getattr(session.graph, name), getattr(other.graph, name))
-    assert len(session.graph.submap_factors) == len(other.graph.submap_factors)
 
 
 def test_laps_are_placed_on_a_map_of_the_earlier_ones_and_on_one_of_the_later_ones(many_laps):
@@ -77,46 +67,6 @@ def test_submap_factors_are_as_far_off_as_they_state(many_laps):
     assert 0.2 < np.mean(squares) < 2.5
 
 
-@pytest.mark.parametrize("later", [False, True])
-def test_what_lies_beside_a_window_is_earlier_or_later_near_and_known(many_laps, later):
-    places, path = many_laps.session.places, many_laps.session.paths[0]
-    graph, known = places.graph, KnownPath.of(path, places.graph)
-    window, other_end = path.windows[0 if later else -1], path.windows[-2 if later else 1]
-    beside = known.submap(window, graph, later=later)
-    assert beside is not None
-    assert (beside.node > window.node + 1 if later else beside.node < window.node - 1).all()
-    own = known.positions[known.node == window.node]
-    best = beside.best_known
-    seen = (graph.pose(best) * graph.center(best).inv()).apply(beside.survey.positions)
-    apart = np.linalg.norm(seen[:, None] - own, axis=2).min(axis=1)
-    assert apart.max() < 2 * window.length
-    assert beside.passes.size >= 2
-    assert beside.shares.sum() == pytest.approx(1.0)
-    assert known.submap(other_end, graph, later=later) is None
-
-
-def test_means_along_the_path_are_near_it_and_fewer(many_laps):
-    path, graph = many_laps.session.paths[0], many_laps.session.graph
-    known = KnownPath.of(path, graph)
-    assert len(known.node) < len(path.survey)
-    assert known.n_averaged >= 1
-    assert (np.diff(known.node) >= 0).all()
-    assert set(known.node.tolist()) == set(path.nodes.tolist())
-
-
-@pytest.mark.slow
-def test_an_interrupted_last_look_ends_as_if_it_was_not(many_laps, tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)
-    slam(many_laps.log, keep=tmp_path / "all")
-    kept = sorted((tmp_path / "all").iterdir(), key=lambda path: int(path.stem))
-    part = tmp_path / "part"
-    part.mkdir()
-    # All but the last windows of the last look.
-    for path in kept[:-2]:
-        shutil.copy(path, part)
-    assert_same(slam(many_laps.log, keep=part, run=elsewhere), many_laps.session)
-
-
 def test_a_kept_session_has_its_maps_and_one_more_log_leaves_them_as_they_are(many_laps, tmp_path):
     write_folder(many_laps.session, tmp_path / "out")
     other, _ = drifting_walk(Place(2), 2, laps=1.2, start=2.0, name="b.csv")
@@ -136,11 +86,6 @@ def test_adding_no_log_adds_no_factor(many_laps, tmp_path):
     session, _ = read_session(tmp_path / "out", [many_laps.log])
     session.add_logs([])
     assert len(session.graph.submap_factors) == len(many_laps.session.graph.submap_factors)
-
-
-def test_a_short_log_that_passes_nothing_twice_has_no_submap(many_laps):
-    session = slam(many_laps.log.subset(np.arange(60)))
-    assert not session.graph.submap_factors
 
 
 @pytest.mark.slow

@@ -2,21 +2,20 @@
 """Hyperparameters of stretches: what a base says of the field beside the line that it was walked along."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import magmatch as mm
 from drifting import Place, submap_at
-from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import rotation_matrix
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
-from magmatch.slam import shared_hyperparameters as module
 from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.shared_hyperparameters import shared_hyperparameters
+from magmatch.slam.shared_hyperparameters import as_rough_as_here, shared_hyperparameters
 
 
 def log_ratios(walk: mm.Survey, field: Callable[[np.ndarray], np.ndarray], beside: float) -> list[float]:
@@ -61,22 +60,6 @@ def test_a_base_expects_little_beside_a_calm_path_and_much_beside_a_rough_one():
     assert abs(np.mean(rough)) < 0.7
 
 
-def test_of_many_logs_some_show_how_the_field_changes(monkeypatch):
-    looked_at = []
-
-    def numbers_of(samples):
-        looked_at.append(samples)
-        return Hyperparameters(1.0, 1e-6, 1e-7, spacing=0.3), 1.0
-
-    monkeypatch.setattr(module, "_hyperparameters_of", numbers_of)
-    x = np.linspace(0, 10, 50)[:, None] * [1.0, 0, 0]
-    logs = [mm.Survey(x, 1e-6 * np.sin(x + k)) for k in range(3 * module.MOST_LOGS)]
-    shared_hyperparameters(logs)
-    assert len(looked_at) == 2 * module.MOST_LOGS
-    shared_hyperparameters(logs[: module.MOST_LOGS])
-    assert len(looked_at) == 4 * module.MOST_LOGS
-
-
 def test_a_walk_that_stands_still_has_numbers():
     rng = np.random.default_rng(0)
     positions, field = 1e-4 * rng.standard_normal((60, 3)), rng.normal(4e-5, 1e-6, (60, 3))
@@ -96,3 +79,13 @@ def test_a_robot_that_stands_first_learns_the_numbers_of_its_walk():
     numbers, with_standing, _ = shared_hyperparameters([mm.Survey(both, field)])
     assert abs(np.log(with_standing / length)) < 0.2
     assert abs(np.log(numbers.lengthscale / alone.lengthscale)) < 0.5
+
+
+def test_a_stretch_as_rough_as_all_paths_has_their_numbers_a_tenth_of_it_a_tenth_and_one_without_change_the_same():
+    path = np.linspace([-4.0, 0, 0], [4.0, 0, 0], 800)
+    stretch = mm.Survey(path, Place(0).field(path))
+    numbers, length, everywhere = shared_hyperparameters([stretch])
+    still = np.tile(stretch.field[:1], (800, 1))
+    for field, factor in ((stretch.field, 1.0), (stretch.field / 10, 0.1), (still, 1.0)):
+        found = as_rough_as_here(numbers, everywhere, replace(stretch, field=field), length)
+        assert found.prior_scale == pytest.approx(factor * numbers.prior_scale)

@@ -74,11 +74,3 @@ def test_logs_are_level_where_height_and_tilt_stay(turn, rise, level):
     R = None if turn is None else Rotation.from_rotvec(np.linspace(0, 3, n)[:, None] * turn) * mounted
     log = Survey(p, np.full((n, 3), 3e-5), orientations=R)
     assert lie_level([log]) == level
-
-
-def test_logs_at_heights_of_their_own_are_not_on_one_floor():
-    p = np.random.default_rng(0).normal(size=(50, 3)) * [1, 1, 0]
-    low, high = (Survey(p + np.array([0, 0, z]), np.full((50, 3), 3e-5)) for z in (0.0, 1.0))
-    assert lie_level([low])
-    assert lie_level([high])
-    assert not lie_level([low, high])

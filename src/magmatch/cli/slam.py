@@ -120,9 +120,9 @@ def slam(
                 require_walk(walk.given)
         files = [path for path in (*logs, config, anchors) if path]
         require_folder(out, None, files)
-        if is_more:
-            kept = session_in(out)[1]
-            in_metres(surveyed, kept["stated"]["origin"], [a for a, _ in kept["anchors"]])
+        kept = session_in(out) if is_more else None
+        if kept is not None:
+            in_metres(surveyed, kept[1]["stated"]["origin"], [a for a, _ in kept[1]["anchors"]])
         surveys = [walk.survey(say) for walk in walks]
         if not any(":" not in text for text in odometry_sd or []):
             stated = {path.name: read_drift(path, layouts.of()) for path in logs}
@@ -130,7 +130,7 @@ def slam(
             settings = settings.model_copy(update={"sd_of_logs": sd_of_logs})
         require_folder(out, surveys, files, may_be_more=is_more, to_add="add the others with --continue, ")
         poses = [read_poses_of(path, layouts) for path in logs]
-        session, new = read_session(out, surveys) if is_more else (Session(settings), surveys)
+        session, new = read_session(out, surveys, kept) if is_more else (Session(settings), surveys)
         session.add_logs(new, surveyed, waypoints=not no_waypoints, run=run, keep=unfinished(out))
     # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]

@@ -97,6 +97,11 @@ class FieldMap:
         """Lengthscale, signal and noise of the prior."""
         return self.posterior.hyperparameters
 
+    @property
+    def follows_from(self) -> tuple[object, ...]:
+        """All that the map follows from: it stands for the map where results are kept (`magmatch.runner`)."""
+        return self.surveys, self.config, self.hyperparameters, self.T_domain_model, self.T_map_model
+
     def evaluate(self, points: Points, order: int = 0) -> FieldValues:
         """Posterior mean of the field and its derivatives.
 

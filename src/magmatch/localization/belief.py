@@ -127,7 +127,7 @@ class Belief:
         self._bank["earlier"] = np.minimum(self._bank["earlier"], self._most_earlier)
         last = max(len(window) - recent, 0)
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
-        window.weigh_against(self._null.begin_anew(window.steps[self._since :], window.null))
+        window.null = self._null.begin_anew(window.steps[self._since :], window.null)
         self._join(*self._with_another_bias(recent))
         self.is_sure, self.searched_at, self._trail, self._stood = False, -np.inf, [], np.nan
 

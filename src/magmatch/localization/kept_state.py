@@ -20,7 +20,7 @@ from magmatch.localization.samples import LastSample
 from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 
 # What a state may consist of, and changes with.
-SCHEMA = "magmatch.localizer/7"
+SCHEMA = "magmatch.localizer/8"
 KINDS = (Answer, Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "_start"}
@@ -79,5 +79,4 @@ def _config_of(localizer: Localizer) -> Any:
 
 def _belief(belief: Belief) -> dict[str, Any]:
     kept = {name: value for name, value in vars(belief).items() if name not in MADE_ANEW}
-    kept["_window"] = belief._window.trimmed()
     return kept | {"_null": {name: v for name, v in vars(belief._null).items() if name not in MADE_ANEW}}

@@ -30,19 +30,11 @@ FIT = np.dtype([("chi2", "f8"), ("half_log_det", "f8"), ("is_known", "i8"), ("is
 
 @dataclass(eq=False, slots=True)
 class LatestBins:
-    """The last bins, and how well hypotheses (k) and unrelated fields (c) predicted each.
+    """The last bins, and how well hypotheses (k) and unrelated fields (c) predicted each."""
 
-    Attributes
-    ----------
-    steps : (n,) array of STEP
-    fit, null : (n, k) and (n, c) arrays of FIT
-    """
-
-    _steps: np.ndarray
-    _fit: np.ndarray
-    _null: np.ndarray
-    _first: int = 0
-    _end: int = 0
+    steps: np.ndarray  # (n,) of STEP
+    fit: np.ndarray  # (n, k) of FIT
+    null: np.ndarray  # (n, c) of FIT
 
     @classmethod
     def of(cls, n_null: int) -> "LatestBins":
@@ -50,60 +42,31 @@ class LatestBins:
         return cls(np.zeros(0, STEP), np.zeros((0, 0), FIT), np.zeros((0, n_null), FIT))
 
     def __len__(self) -> int:
-        return self._end - self._first
-
-    @property
-    def steps(self) -> np.ndarray:
-        """The bins."""
-        return self._steps[self._first : self._end]
-
-    @property
-    def fit(self) -> np.ndarray:
-        """The FIT of hypotheses to the bins."""
-        return self._fit[self._first : self._end]
-
-    @property
-    def null(self) -> np.ndarray:
-        """The FIT of unrelated fields to the bins."""
-        return self._null[self._first : self._end]
+        return len(self.steps)
 
     def add(self, b: Bin) -> None:
         """Add a bin; its predictions are still to be written."""
-        if self._end == len(self._steps):
-            n, parts = len(self), (self.steps, self.fit, self.null)
-            # Room for three times as many more, so that they are seldom moved.
-            self._steps, self._fit, self._null = (
-                np.concatenate([part, np.zeros((3 * n + 1, *part.shape[1:]), part.dtype)]) for part in parts
-            )
-            self._first, self._end = 0, n
-        last = self._steps[self._end - 1] if len(self) else None
+        last = self.steps[-1] if len(self) else None
+        self.steps, self.fit, self.null = (
+            np.concatenate([part, np.zeros((1, *part.shape[1:]), part.dtype)])
+            for part in (self.steps, self.fit, self.null)
+        )
         R0, p0, t0, w0 = (b.R, b.p, b.t, 0.0) if last is None else (last["R"], last["p"], last["t"], last["walked"])
         u = R0.T @ (b.p - p0)
-        self._steps[self._end] = (R0.T @ b.R, u, b.t - t0, b.z, b.M, b.R, b.p, b.t, w0 + math.sqrt(u @ u))
-        self._end += 1
-
-    def trimmed(self) -> "LatestBins":
-        """Give back the room for more."""
-        return LatestBins(self.steps, self.fit, self.null, 0, len(self))
+        self.steps[-1] = (R0.T @ b.R, u, b.t - t0, b.z, b.M, b.R, b.p, b.t, w0 + math.sqrt(u @ u))
 
     def forget_first(self) -> None:
         """Forget the oldest of all bins."""
-        self._first += 1
+        self.steps, self.fit, self.null = self.steps[1:], self.fit[1:], self.null[1:]
 
     def keep(self, rows: list[int]) -> None:
         """Keep some hypotheses."""
-        self._fit = np.ascontiguousarray(self._fit[:, rows])
+        self.fit = np.ascontiguousarray(self.fit[:, rows])
 
     def join(self, fit: np.ndarray) -> None:
         """Join more hypotheses, which fared so in the last bins."""
-        before = np.zeros((self._end - len(fit), fit.shape[1]), FIT)
-        after = np.zeros((len(self._steps) - self._end, fit.shape[1]), FIT)
-        self._fit = np.concatenate([self._fit, np.concatenate([before, fit, after])], axis=1)
-
-    def weigh_against(self, null: np.ndarray) -> None:
-        """Weigh against other unrelated fields, (n, c)."""
-        self._null = np.zeros((len(self._steps), null.shape[1]), FIT)
-        self.null[:] = null
+        before = np.zeros((len(self) - len(fit), fit.shape[1]), FIT)
+        self.fit = np.concatenate([self.fit, np.concatenate([before, fit])], axis=1)
 
 
 def follow(

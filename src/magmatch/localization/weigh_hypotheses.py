@@ -2,7 +2,7 @@
 """The probability of each hypothesis after a stretch of path, by the evidence and decision of a registration."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -34,31 +34,16 @@ class WeighedHypothesis:
     factor: float
     kind: Kind = "log"
     model: str = "follows the log"
+    # The body itself; what else a `Hypothesis` has is not asked for: of the covariance see `covariance_of`.
+    center: ClassVar[Vector3] = np.zeros(3)
+    covariance: ClassVar[None] = None
+    attainable: ClassVar[float] = np.nan
+    overlap: ClassVar[float] = np.nan
 
     @property
     def T_base_target(self) -> RigidTransform:
         """Model frame from the body's."""
         return RigidTransform.from_components(self.one["p"][0], Rotation.from_matrix(self.one["R"][0]))
-
-    @property
-    def center(self) -> Vector3:
-        """The body itself."""
-        return np.zeros(3)
-
-    @property
-    def covariance(self) -> None:
-        """Not asked for: see `covariance_of`."""
-        return
-
-    @property
-    def attainable(self) -> float:
-        """Not asked for."""
-        return self.log_evidence
-
-    @property
-    def overlap(self) -> float:
-        """Not asked for."""
-        return 1.0
 
 
 class OutsidePenalty(NamedTuple):

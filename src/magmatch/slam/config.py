@@ -7,10 +7,25 @@ import numpy as np
 from pydantic import Field
 
 from magmatch.preparation.odometry.drift import Drift, OdometryConfig
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.search.pair_search import PairSearchConfig
 from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 from magmatch.typing import Indices
+
+# What closures are believed by, beside the law of `estimation/posterior.py`.
+# Probability that a registration needs: so sure is the graph of a place that it knows, and what teaches noise.
+SURE = DecisionConfig().min_probability
+# Probability above which a closure is kept: it is more likely right than wrong.
+LEAST_KEPT = 0.5
+# Largest log odds of a closure, nats: with more, it could never be rejected.
+MOST_ODDS = 12.0
+# Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
+# simulated closures correlate by so much where they share a window.
+COMMON = 1 / 3
+# Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
+# what one tells (`counted`): four tell four fifths of all.
+MOST_PASSES = 4
 
 Latitude = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Longitude = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]

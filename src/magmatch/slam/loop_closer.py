@@ -11,16 +11,16 @@ from scipy.special import logit
 from magmatch.estimation.path_noise import PRIOR_STRETCHES, most_likely
 from magmatch.estimation.walk import MIN_BINS
 from magmatch.runner import Runner
+from magmatch.slam.config import LEAST_KEPT, SURE
 from magmatch.slam.decide.probable_closures import probable_closures
 from magmatch.slam.decide.shared_frame_odds import log_odds_shared
-from magmatch.slam.graph.factors import LEAST_KEPT, Closure
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.switchable_constraints import surprise_before
 from magmatch.slam.loop_search import LoopSearch
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate
-from magmatch.slam.search.predicted import SURE
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices
 

@@ -10,6 +10,7 @@ from magmatch.estimation.path_noise import Stretch
 from magmatch.registration.search.pair_search import PairTable
 from magmatch.registration.search.retrieval import count_votes, shortlist
 from magmatch.runner import Runner, Shared
+from magmatch.slam.config import MOST_PASSES
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate, Found, Search, Searched, compare
 from magmatch.slam.search.loop_closure import Match, residuals
@@ -19,9 +20,6 @@ from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices
 from magmatch.workers import Task
 
-# Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
-# what one tells (`counted`): four tell four fifths of all.
-MOST_PASSES = 4
 # Classes that a runner keeps of a search.
 KINDS = (Match, Stretch)
 

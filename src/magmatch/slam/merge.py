@@ -3,7 +3,6 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path as FilePath
 
@@ -38,6 +37,8 @@ log = logging.getLogger(__name__)
 
 # No probability is nearer to one than this: odds stay finite.
 LEAST_ERROR = 1e-12
+# An accepted registration: T_base_target, its covariance and probability.
+Registered = tuple[RigidTransform, Covariance6, float]
 # Trees of closures tried for a start.
 N_TREES = 64
 
@@ -84,7 +85,7 @@ def merge(
         raise ConfigurationError(msg)
     samples, clock = [survey_of(survey) for survey in given], Clock()
     require_distinct(samples)
-    with followed(progress), one_blas_thread(), Runner(run, keep, (Registered,)) as runner:
+    with followed(progress), one_blas_thread(), Runner(run, keep) as runner:
         with clock("maps"):
             maps = [as_map(survey, config.field) for survey in counted("mapping", given)]
         paths = [_rigid(survey, k) for k, survey in enumerate(samples)]
@@ -107,39 +108,19 @@ def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
     return list(surveys)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Registered:
-    """An accepted registration."""
-
-    T_base_target: RigidTransform
-    covariance: Covariance6
-    probability: float
-
-
 def _register_pairs(
     maps: Sequence[FieldMap], samples: Sequence[Survey], config: RegistrationConfig, seed: int, run: Runner
 ) -> list[Closure]:
     """Closures between all pairs that registration accepts."""
-    pairs, names, about = list(combinations(range(len(maps)), 2)), names_of(samples), list(map(_about, maps, samples))
-    bases = [
-        Shared(prepare_index, (one, config), len(survey), (of, config))
-        for one, survey, of in zip(maps, samples, about, strict=True)
-    ]
-    tasks = [
-        Task(f"{names[a]} and {names[b]}", (bases[a], maps[b], config, seed), (bases[a], about[b], config, seed))
-        for a, b in pairs
-    ]
+    pairs, names = list(combinations(range(len(maps)), 2)), names_of(samples)
+    bases = [Shared(prepare_index, (one, config), len(survey)) for one, survey in zip(maps, samples, strict=True)]
+    tasks = [Task(f"{names[a]} and {names[b]}", (bases[a], maps[b], config, seed)) for a, b in pairs]
     closures: list[Closure] = []
     for (a, b), found in zip(pairs, run(_register, tasks, "registering pairs"), strict=True):
         log.info("%s and %s: %s", names[a], names[b], "not connected" if found is None else "connected")
         if found is not None:
             closures.append(_closure(a, b, found, samples[a].centroid, samples[b].centroid))
     return closures
-
-
-def _about(field_map: FieldMap, samples: Survey) -> tuple[object, ...]:
-    """Content that a map follows from, its samples included."""
-    return samples, field_map.config, field_map.hyperparameters, field_map.T_domain_model
 
 
 def _register(base: MapIndex, target: FieldMap, config: RegistrationConfig, seed: int) -> Registered | None:
@@ -151,15 +132,16 @@ def _register(base: MapIndex, target: FieldMap, config: RegistrationConfig, seed
     assert result.T_base_target is not None
     assert result.covariance is not None
     assert result.probability is not None
-    return Registered(result.T_base_target, result.covariance, result.probability)
+    return result.T_base_target, result.covariance, result.probability
 
 
 def _closure(a: int, b: int, found: Registered, center_a: Vector3, center_b: Vector3) -> Closure:
     """A registration as a closure between centroids: about its frame's origin, far away, a turn would be a shift."""
-    T = RigidTransform.from_translation(-center_a) * found.T_base_target * RigidTransform.from_translation(center_b)
-    p = min(found.probability, 1 - LEAST_ERROR)
+    T_base_target, covariance, probability = found
+    T = RigidTransform.from_translation(-center_a) * T_base_target * RigidTransform.from_translation(center_b)
+    p = min(probability, 1 - LEAST_ERROR)
     odds = float(np.log(p / (1 - p)))
-    return Closure(a, b, T, covariance_about(found.covariance, center_b), odds)
+    return Closure(a, b, T, covariance_about(covariance, center_b), odds)
 
 
 def _rigid(survey: Survey, k: int) -> Path:

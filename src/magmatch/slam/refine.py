@@ -22,17 +22,17 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import product, rotation_matrix
 from magmatch.progress import counted
 from magmatch.runner import Runner
+from magmatch.slam.config import LEAST_KEPT, MOST_PASSES, SURE
 from magmatch.slam.decide.probable_closures import off_level
-from magmatch.slam.graph.factors import LEAST_KEPT, SubmapFactor
+from magmatch.slam.graph.factors import SubmapFactor
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
-from magmatch.slam.loop_search import MOST_PASSES
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate, Found, compare
 from magmatch.slam.search.loop_closure import SAME_SHIFT, Expected
-from magmatch.slam.search.predicted import SURE, expected_beside
+from magmatch.slam.search.predicted import expected_beside
 from magmatch.slam.search.submaps import make_submap
 from magmatch.slam.windows import Path, Window
 from magmatch.threads import single_threaded

@@ -21,7 +21,6 @@ from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.map import FieldMap
-from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
@@ -29,7 +28,6 @@ from magmatch.settings import Settings
 from magmatch.slam.begin import settled
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors, waypoints_of
-from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import most_contradicted
@@ -40,9 +38,19 @@ from magmatch.slam.loop_search import KINDS
 from magmatch.slam.places import Places
 from magmatch.slam.result import DriftResult, LogResult, SlamResult, SlamStatus
 from magmatch.slam.slam import correct, correct_more
-from magmatch.slam.statement import explain, state_anchors, state_closure, state_odometry
-from magmatch.slam.windows import Path, Window
-from magmatch.typing import Covariance6, Indices, Vector3
+from magmatch.slam.statement import (
+    Bias,
+    bent_window,
+    biases_in_maps,
+    explain,
+    guessed_drift,
+    place_and_turn,
+    state_anchors,
+    state_closure,
+    state_odometry,
+)
+from magmatch.slam.windows import Path
+from magmatch.typing import Indices, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -277,73 +285,40 @@ class Session:
         return made
 
     @property
-    def map_biases(self) -> list[tuple[Vector3, Vector3]]:
+    def map_biases(self) -> list[Bias]:
         """What each log's readings still have of its sensor's bias, and sd (T), as the maps made so far know it."""
-        found = [(np.zeros(3), np.zeros(3)) for _ in self.paths]
-        for component, made in self._maps.items():
-            logs = self.components[component]
-            if made.biases is not None and len(made.surveys) == len(logs):
-                for k, bias, sd in zip(logs, made.biases.bias, made.biases.sd, strict=True):
-                    found[k] = bias, sd
-        return found
+        return biases_in_maps(self._maps, self.components, len(self.paths))
 
     def result(self) -> SlamResult:
         """The result as a document; once a map is made it states the biases that were solved with it."""
-        names, closures = self.names, self.graph.closures
+        names, closures, anchors = self.names, self.graph.closures, self._now.anchors
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
-        kept = [c for c in closures if c.is_kept]
-        anchors = self._now.anchors
-        if not kept and not any(log.is_fixed for log in logs):
+        n_kept = sum(c.is_kept for c in closures)
+        if not n_kept and not any(log.is_fixed for log in logs):
             status = SlamStatus.UNCHANGED
         else:
             status = SlamStatus.CONNECTED if len(self.components) == 1 else SlamStatus.PARTLY_CONNECTED
         groups = [[names[k] for k in group] for group in self.components]
+        windows = [] if self._now.maker is None else [w for path in self.paths for w in path.windows]
+        guess = None if self.is_rigid else guessed_drift(self.graph, self._now.stated, self.logs)
+        bent_logs = [names[k] for k in np.flatnonzero(strains(self.graph) > MOST_BENT)]
+        n_rejected, bent = len(closures) - n_kept, bent_window(windows)
+        live = [] if self._live is None or len(self.paths) == len(self.given) else [self._live.survey()]
         return SlamResult(
             status,
-            explain(
-                status,
-                groups,
-                len(kept),
-                len(closures) - len(kept),
-                len(anchors),
-                self._bent(),
-                self._guessed(),
-                [names[k] for k in np.flatnonzero(strains(self.graph) > MOST_BENT)],
-            ),
+            explain(status, groups, n_kept, n_rejected, len(anchors), bent, guess, bent_logs),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             state_anchors(anchors, self.graph, names),
             DriftResult()
             if self.is_rigid
-            else state_odometry(self.graph, self._biases(), self._as_measured(), names),
+            else state_odometry(self.graph, self._now.biases, self.map_biases, [*self.given, *live], names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,
             self.seed,
             tuple(describe_input(s) for s in self.logs),
         )
-
-    def _biases(self) -> list[tuple[Vector3, Vector3]]:
-        """Each log's bias and sd: what the graph began with, and the map's part, which knows it better."""
-        both = zip(self._now.biases, self.map_biases, strict=True)
-        return [(first + more, sd if sd.any() else first_sd) for (first, first_sd), (more, sd) in both]
-
-    def _as_measured(self) -> list[Survey]:
-        """All logs before anything was taken off."""
-        live = [] if self._live is None or len(self.paths) == len(self.given) else [self._live.survey()]
-        return [*self.given, *live]
-
-    def _bent(self) -> Window | None:
-        """One of the windows, if none keeps its shape."""
-        windows = [] if self._now.maker is None else [w for p in self.paths for w in p.windows]
-        return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
-
-    def _guessed(self) -> tuple[float, float] | None:
-        """The drift of some log that was neither stated nor learned, m and deg in 10 m."""
-        stated = self._now.stated
-        is_stated = stated.odometry.sd != OdometryConfig().sd or all(s.name in stated.sd_of_logs for s in self.logs)
-        is_guess = not (self.is_rigid or is_stated or teaches_drift(self.graph))
-        return stated.odometry.sd if is_guess else None
 
     def _state_log(self, log: int) -> LogResult:
         path, after = self.paths[log], self.trajectories[log]
@@ -363,7 +338,7 @@ class Session:
             float(path.walked[-1]),
             sum(c.is_kept and bool({c.first, c.second} & nodes) for c in self.graph.closures),
             float(np.sqrt((moved**2).sum(axis=1).mean())),
-            _place_and_turn(C),
+            place_and_turn(C),
             is_fixed,
         )
 
@@ -374,17 +349,12 @@ class Session:
 
     def standard_deviations(self, nodes: Indices) -> list[tuple[float, float]]:
         """Standard deviations of nodes (m, rad) against their component's first, or in the fixed points' frame."""
-        return [_place_and_turn(C) for C in self.graph.covariances(nodes)]
+        return [place_and_turn(C) for C in self.graph.covariances(nodes)]
 
     def covariances_of_place(self, nodes: Indices) -> np.ndarray:
         """Covariance of nodes' places in the axes of their component's frame, as `standard_deviations`: (n, 3, 3)."""
         R = self.graph.R[nodes]
         return np.asarray(R @ self.graph.covariances(nodes)[:, 3:, 3:] @ np.swapaxes(R, 1, 2))
-
-
-def _place_and_turn(C: Covariance6) -> tuple[float, float]:
-    place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
-    return place, turn
 
 
 def require_distinct(surveys: Sequence[Survey]) -> None:

@@ -1,20 +1,27 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The graph's state in the terms of the result: closures of bodies, estimated odometry, and words."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.field.map import FieldMap
 from magmatch.geometry import adjoint
+from magmatch.preparation.odometry.drift import OdometryConfig
+from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.factors import Closure
+from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.result import AnchorResult, ClosureResult, DriftResult, LogOdometry, Recalibration, SlamStatus
 from magmatch.slam.sensor_bias import recalibrations_of
 from magmatch.slam.windows import Path, Window
-from magmatch.typing import Vector3
+from magmatch.typing import Covariance6, Vector3
+
+# Of a magnetometer in its own axes, and sd, T.
+Bias = tuple[Vector3, Vector3]
 
 
 def state_closure(
@@ -63,9 +70,16 @@ def state_anchors(
 
 
 def state_odometry(
-    graph: PoseGraph, biases: Sequence[tuple[Vector3, Vector3]], logs: Sequence[Survey], names: Sequence[str]
+    graph: PoseGraph, biases: Sequence[Bias], in_maps: Sequence[Bias], logs: Sequence[Survey], names: Sequence[str]
 ) -> DriftResult:
-    """The drift of the odometry, and each log's constant errors."""
+    """The drift of the odometry, and each log's constant errors.
+
+    A bias is what the graph began with and the map's part, which knows it better.
+    """
+    biases = [
+        (first + more, sd if sd.any() else first_sd)
+        for (first, first_sd), (more, sd) in zip(biases, in_maps, strict=True)
+    ]
     each = zip(names, graph.lasting.tolist(), biases, map(_state_recalibrations, logs), strict=True)
     return DriftResult(
         sd=graph.config.odometry.sd,
@@ -87,6 +101,34 @@ def _state_recalibrations(survey: Survey) -> list[Recalibration]:
         Recalibration(t=t, step=step)
         for t, step in zip(survey.times[found.rows].tolist(), found.steps.tolist(), strict=True)
     ]
+
+
+def biases_in_maps(maps: Mapping[int, FieldMap], components: Sequence[Sequence[int]], n: int) -> list[Bias]:
+    """What maps, by their component, know of the bias that each of n logs still has."""
+    found = [(np.zeros(3), np.zeros(3)) for _ in range(n)]
+    for component, made in maps.items():
+        logs = components[component]
+        if made.biases is not None and len(made.surveys) == len(logs):
+            for k, bias, sd in zip(logs, made.biases.bias, made.biases.sd, strict=True):
+                found[k] = bias, sd
+    return found
+
+
+def bent_window(windows: Sequence[Window]) -> Window | None:
+    """One of the windows, if none keeps its shape."""
+    return None if any(w.keeps_shape for w in windows) else next(iter(windows), None)
+
+
+def guessed_drift(graph: PoseGraph, stated: SlamConfig, logs: Sequence[Survey]) -> tuple[float, float] | None:
+    """The drift of some log that was neither stated nor learned, m and deg in 10 m."""
+    is_stated = stated.odometry.sd != OdometryConfig().sd or all(s.name in stated.sd_of_logs for s in logs)
+    return None if is_stated or teaches_drift(graph) else stated.odometry.sd
+
+
+def place_and_turn(C: Covariance6) -> tuple[float, float]:
+    """Standard deviations of a pose, m and rad, of all directions together."""
+    place, turn = (float(np.sqrt(max(np.trace(block), 0.0))) for block in (C[3:, 3:], C[:3, :3]))
+    return place, turn
 
 
 def explain(

@@ -15,7 +15,7 @@ from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.odometry import odometry_graph
-from magmatch.slam.graph.solve import most_contradicted, solve
+from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.output.graph_files import write_graph
@@ -52,30 +52,6 @@ def test_what_is_done_to_a_copy_leaves_the_graph_as_it_was():
     assert np.abs(other.p - graph.p).max() > 1
     for array, before in zip((graph.R, graph.p, graph.level), was, strict=True):
         np.testing.assert_array_equal(array, before)
-
-
-def test_slopes_are_those_of_finite_differences():
-    graph, _ = graph_of([10, 90, 200], config=SlamConfig(is_gravity_aligned=False))
-    rng = np.random.default_rng(0)
-    graph.R = Rotation.from_rotvec(rng.normal(size=(len(graph.p), 3))).as_matrix()
-    seen, J = graph.seen_at_fixed()
-    small, R, p = 1e-6, graph.R, graph.p
-    for side, nodes in ((0, graph.fixed.one), (6, graph.fixed.other)):
-        for k in range(6):
-            xi = np.zeros((len(p), 6))
-            xi[nodes, k] = small
-            graph.R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
-            graph.p = p + np.einsum("nij,nj->ni", R, xi[:, 3:])
-            # Two points between the same nodes move with both.
-            mine = np.isin(nodes, nodes) & (graph.fixed.one != graph.fixed.other)
-            slope = (graph.seen_at_fixed()[0] - seen) / small
-            alone = [
-                i
-                for i in np.flatnonzero(mine)
-                if not set(nodes) & {(graph.fixed.other, graph.fixed.one)[side // 6][i]}
-            ]
-            np.testing.assert_allclose(slope[alone], J[alone, :, side + k], atol=1e-5)
-        graph.R, graph.p = R, p
 
 
 def test_points_that_lie_apart_tell_the_frame_and_correct_the_log():
@@ -129,15 +105,6 @@ def test_rounding_says_nothing_against_a_point_that_nothing_else_places(rows, sd
     _, covariance = graph.off_fixed_without()
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert 0 <= graph.surprise_of_fixed()[0] < 1e4  # of two points, the log's length may contradict one
-
-
-def test_of_many_points_the_wrong_one_is_found_among_those_that_look_most_wrong():
-    graph, _ = graph_of(range(3, 207, 6), sd=0.3)
-    position = graph.fixed.position.copy()
-    position[20] += [3.0, -2.0, 0.0]
-    graph.fixed = replace(graph.fixed, position=position)
-    solve(graph)
-    assert most_contradicted(graph)[0] == 20
 
 
 def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():
@@ -242,6 +209,8 @@ def test_a_table_that_cannot_be_is_one_line(tmp_path, text, said):
 def test_a_point_that_no_log_passed_is_refused(anchor, said):
     with pytest.raises(ConfigurationError, match=said):
         of_logs([anchor], [LOG], ["walk"])
+    with pytest.raises(ConfigurationError, match="no times" if anchor.log != "robot" else "name of a log"):
+        of_logs([anchor], [replace(LOG, times=None)], ["walk"])
 
 
 @pytest.mark.parametrize("row", [0, -1])
@@ -302,11 +271,6 @@ def test_an_added_log_keeps_the_origin_and_brings_points_of_its_own(tmp_path):
     assert np.abs(found[[5, 80, 160]] - known[[5, 80, 160]]).max() < 0.2
 
 
-def test_points_of_logs_without_times_are_refused():
-    with pytest.raises(ConfigurationError, match="no times"):
-        of_logs([Anchor("walk", 1.0, np.zeros(3), 0.1)], [replace(LOG, times=None)], ["walk"])
-
-
 @pytest.mark.parametrize(
     "wrong", [{"sd": 0.0}, {"sd": np.nan}, {"t": np.inf}, {"position": [0, 0]}, {"position": [0, np.nan, 0]}]
 )
@@ -319,24 +283,15 @@ def test_fixed_points_stand_in_g2o_where_the_graph_has_them(tmp_path):
     graph, _ = graph_of([10, 90, 150, 200], sd=0.3)
     write_graph(graph, tmp_path / "graph.g2o")
     rows = [line.split() for line in (tmp_path / "graph.g2o").read_text().splitlines() if line[0] != "#"]
-    T = {
-        int(r[1]): RigidTransform.from_components(
-            np.array(r[2:5], float), Rotation.from_quat(np.array(r[5:9], float))
-        )
-        for r in rows
-        if r[0] == "VERTEX_SE3:QUAT"
-    }
-    n, edges = len(graph.p), [r for r in rows if r[0] == "EDGE_SE3:QUAT" and int(r[2]) >= len(graph.p)]
-    np.testing.assert_allclose([T[n + k].translation for k in range(4)], graph.fixed.position)
-    to_nodes = [r for r in edges if int(r[1]) < n]
-    assert (len(to_nodes), len(edges)) == (4, 7)
-    off = []
-    for k, r in enumerate(to_nodes):
-        Z = RigidTransform.from_components(np.array(r[3:6], float), Rotation.from_quat(np.array(r[6:10], float)))
-        off.append((Z.inv() * T[int(r[1])].inv() * T[n + k]).translation)
-        assert float(r[10]) == pytest.approx(0.3**-2)
+    n, poses = len(graph.p), [np.array(r[2:9], float) for r in rows if r[0] == "VERTEX_SE3:QUAT"]
+    T = [RigidTransform.from_components(v[:3], Rotation.from_quat(v[3:])) for v in poses]
+    edges = [(int(r[1]), int(r[2]), np.array(r[3:], float)) for r in rows if r[0] == "EDGE_SE3:QUAT"]
+    seen = {j: (i, v) for i, j, v in edges if i < n <= j}
+    np.testing.assert_allclose([T[j].translation for j in seen], graph.fixed.position)
     # The nearer node alone says nearly what both say.
+    off = [T[i].apply(v[:3]) - T[j].translation for j, (i, v) in seen.items()]
     assert np.linalg.norm(off) == pytest.approx(np.linalg.norm(graph.off_fixed()), rel=0.3)
-    for r in edges:
-        if int(r[1]) == n:
-            np.testing.assert_allclose(np.array(r[3:6], float), T[int(r[2])].translation - T[n].translation)
+    assert [v[7] for _, v in seen.values()] == pytest.approx([0.3**-2] * 4)
+    tied = [(v[:3], T[j].translation - T[i].translation) for i, j, v in edges if i == n]
+    assert len(tied) == 3
+    np.testing.assert_allclose(*zip(*tied, strict=True))

@@ -39,22 +39,8 @@ def test_solutions_determinant_and_blocks_of_the_inverse_are_those_of_the_dense_
     assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
     own = inverse.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n)]
     np.testing.assert_allclose(factor.inverse().diagonal, own, atol=1e-9 * scale)
-    rows, column = rng.choice(n, 5, replace=False), int(rng.integers(n))
-    found = factor.inverse_in_column(rows, column)
-    np.testing.assert_allclose(found, inverse.reshape(n, 6, n, 6)[rows, :, column], atol=1e-9 * scale)
-    whole = factor.inverse_in_column(np.arange(n), column)
-    np.testing.assert_array_equal(found, whole[rows])  # how many are asked for changes no bit
-
-
-def test_a_factor_with_the_order_of_another_is_the_same_and_with_other_blocks_has_its_own():
-    A, _ = chain_with_loops(30, 3, False, np.random.default_rng(0))
-    first = BlockCholesky.of(A)
-    A.data[:] *= 2
-    again = BlockCholesky.of(A, first)
-    assert again.position is first.position
-    np.testing.assert_array_equal(again.L, BlockCholesky.of(A).L)
-    other, dense = chain_with_loops(30, 4, False, np.random.default_rng(1))
-    assert BlockCholesky.of(other, first).log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
+    found = factor.inverse_in_column(7)
+    np.testing.assert_allclose(found, inverse.reshape(n, 6, n, 6)[:, :, 7], atol=1e-9 * scale)
 
 
 def test_the_factor_of_a_large_loopy_chain_is_sparse():

@@ -28,21 +28,6 @@ def path():
     return path
 
 
-def test_beside_the_node_itself_odometry_adds_nothing(path):
-    C = covariance_beside(path, 1, RigidTransform.from_translation([0.0, 0.4, 0.0]), CONFIG)
-    # The nearest sample is the node's or its neighbour, a step of 5 cm.
-    assert np.sqrt(np.diagonal(C)).max() < 0.02
-
-
-def test_along_the_path_it_grows_as_odometry_does(path):
-    k = 0
-    sd = [
-        np.sqrt(covariance_beside(path, k, RigidTransform.from_translation(p - path.centers[k]), CONFIG)[3, 3])
-        for p in path.survey.positions[path.middles[k] : path.middles[k] + 50 : 10]
-    ]
-    assert np.all(np.diff(sd) > 0)
-
-
 def test_it_is_the_spread_of_many_walks(path):
     """A pose known exactly beside the end of a window, stated from the node in the window's middle."""
     k, last = 0, int(np.flatnonzero(path.number == 0)[-1])

@@ -6,29 +6,18 @@ the previous one by odometry gains the ratio of odometry's predicted density to 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 from scipy.special import logsumexp
 
-from magmatch.typing import Covariance6, Matrix, Scalars
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Placed:
-    """A window's candidate pose in a frame that its neighbours' candidates share."""
-
-    T: RigidTransform  # shared frame from the window's node
-    covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the node
-    log_odds: float  # over nowhere, prior included
-    log_prior: float  # density of the prior at the pose, of the components that drift
+from magmatch.slam.search.loop_closure import Match
+from magmatch.typing import Matrix, Scalars
 
 
 def smooth(
-    windows: list[list[Placed]], log_transitions: list[Matrix], revisits: Sequence[float], keeps_on: float
+    windows: Sequence[Sequence[Match]], log_transitions: list[Matrix], revisits: Sequence[float], keeps_on: float
 ) -> list[Scalars]:
-    """Probability of each candidate of each window; the remainder to one is that of nowhere.
+    """Probability of each candidate pose of each window; the remainder to one is that of nowhere.
 
     ``log_transitions`` (a, b) between neighbouring windows: log density of b's pose as odometry predicts it from a's;
     ``revisits``: for each window, the share of such windows that lie somewhere; ``keeps_on``: of windows that do,

@@ -8,22 +8,19 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
-from magmatch.slam.config import SlamConfig
-from magmatch.slam.decide.chain import Placed, smooth
-from magmatch.slam.graph.factors import LEAST_KEPT, Closure
+from magmatch.slam.config import COMMON, LEAST_KEPT, SURE, SlamConfig
+from magmatch.slam.decide.chain import smooth
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import NODE_COVARIANCE, log_density
-from magmatch.slam.search.predicted import SURE, is_known
+from magmatch.slam.search.predicted import is_known
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Matrix, Scalars
 
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
-# Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
-# simulated closures correlate by so much where they share a window.
-COMMON = 1 / 3
 
 
 class Weighted(NamedTuple):
@@ -111,17 +108,17 @@ def probable_closures(
     """
     config = graph.config
     candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
-    placed = [[_placed(c, graph) for c in found] for found in candidates]
-    steps = [_log_transition(path.first_node + k, candidates, placed, k, graph) for k in range(len(placed) - 1)]
+    poses = [[product(graph.pose(c.node), c.T_node_window) for c in found] for found in candidates]
+    steps = [_log_transition(path.first_node + k, candidates, poses, k, graph) for k in range(len(poses) - 1)]
     component = graph.component()
     revisits = [
         _revisit(window, [c.node for c in found if component[c.node] == component[window.node]], graph)
         for window, found in zip(path.windows, candidates, strict=True)
     ]
-    shares = smooth(placed, steps, revisits, config.keeps_on)
+    shares = smooth([[c.match for c in found] for found in candidates], steps, revisits, config.keeps_on)
     closures = []
-    for window, found, at, p in zip(path.windows, candidates, placed, shares, strict=True):
-        same = same_answer([one.T for one in at], p, window)
+    for window, found, at, p in zip(path.windows, candidates, poses, shares, strict=True):
+        same = same_answer(at, p, window)
         probability = float(p[same].sum())
         if probability > least:
             odds = float(np.log(probability / max(1 - probability, 1e-12)))
@@ -130,29 +127,24 @@ def probable_closures(
     return closures
 
 
-def _placed(c: Candidate, graph: PoseGraph) -> Placed:
-    T = product(graph.pose(c.node), c.T_node_window)
-    return Placed(T, c.match.covariance, c.match.log_odds, c.match.log_prior)
-
-
 def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
     """Probability that a window lies on path of its component where candidates were found."""
     return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
 
 
 def _log_transition(
-    node: int, candidates: list[list[Candidate]], placed: list[list[Placed]], k: int, graph: PoseGraph
+    node: int, candidates: list[list[Candidate]], poses: list[list[RigidTransform]], k: int, graph: PoseGraph
 ) -> Matrix:
     """Log density of the next window's candidates as odometry predicts them from this one's."""
-    shape = len(placed[k]), len(placed[k + 1])
+    shape = len(poses[k]), len(poses[k + 1])
     if not all(shape):
         return np.zeros(shape)
     step, Q = graph.odometry(node)
     i, j = np.indices(shape).reshape(2, -1)
     (T, C, at), (T_next, C_next, at_next) = (
-        (RigidTransform.concatenate([p.T for p in some]), np.stack([p.covariance for p in some]),
+        (RigidTransform.concatenate(at), np.stack([c.match.covariance for c in found]),
          np.array([c.node for c in found]))
-        for some, found in zip(placed[k : k + 2], candidates[k : k + 2], strict=True)
+        for at, found in zip(poses[k : k + 2], candidates[k : k + 2], strict=True)
     )  # fmt: skip
     # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
     steps = 1 + np.minimum(np.abs(at[i] - at_next[j]), APART)

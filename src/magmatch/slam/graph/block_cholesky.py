@@ -34,32 +34,24 @@ def sum_of_blocks(rows: Indices, columns: Indices, blocks: np.ndarray, n: int) -
 class BlockCholesky:
     """``A = L L^T`` in an order that keeps L sparse."""
 
-    pattern: Indices  # (2, b): row and column of each block of A
     position: Indices  # (n,): place of each block of unknowns in that order
     starts: Indices  # (n + 1,): where each column of L begins, the diagonal first
     rows: Indices  # (m,): row of each block, ascending in a column
     L: np.ndarray  # (m, 6, 6)
 
     @classmethod
-    def of(cls, A: bsr_array, before: "BlockCholesky | None" = None) -> "BlockCholesky":
-        """Factor a positive definite matrix, of which the lower half is given.
-
-        One that was factored ``before`` gives the order, if it has the same blocks.
-        """
+    def of(cls, A: bsr_array) -> "BlockCholesky":
+        """Factor a positive definite matrix, of which the lower half is given."""
         n = A.shape[0] // SIDE
         i, j = np.repeat(np.arange(n), np.diff(A.indptr)), A.indices.astype(np.int64)
-        pattern = np.stack([i, j])
-        if before is not None and np.array_equal(before.pattern, pattern):
-            position, starts, rows = before.position, before.starts, before.rows
-        else:
-            position, starts, rows = _order(i, j, n)
+        position, starts, rows = _order(i, j, n)
         L = np.zeros((len(rows), SIDE, SIDE))
         at, is_above = _find(starts, rows, position[i], position[j])
         L[at] = _flipped(A.data, is_above)
         if not _factor(starts, rows, L, np.empty((1, SIDE, SIDE))):
             msg = "the graph does not determine all poses"
             raise np.linalg.LinAlgError(msg)
-        return cls(pattern, position, starts, rows, L)
+        return cls(position, starts, rows, L)
 
     @property
     def log_determinant(self) -> float:
@@ -68,18 +60,17 @@ class BlockCholesky:
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """``A^-1 rhs`` for up to six right-hand sides: (k, n, 6)."""
-        y, is_asked = np.zeros((len(self.position), SIDE, SIDE)), np.ones(len(self.position), np.bool_)
+        y = np.zeros((len(self.position), SIDE, SIDE))
         y[self.position, :, : len(rhs)] = np.moveaxis(rhs, 0, 2)
-        _solve(self.starts, self.rows, self.L, y, is_asked, np.empty((1, SIDE, SIDE)))
+        _solve(self.starts, self.rows, self.L, y, np.empty((1, SIDE, SIDE)))
         return np.moveaxis(y[self.position, :, : len(rhs)], 2, 0)
 
-    def inverse_in_column(self, rows: Indices, column: int) -> np.ndarray:
-        """Blocks of some rows in one column of ``A^-1``: (k, 6, 6). Others are found as far as these need them."""
-        y, places, place = np.zeros((len(self.position), SIDE, SIDE)), self.position[rows], self.position[column]
-        y[place] = np.eye(SIDE)
-        is_asked = _with_ancestors(self.starts, self.rows, np.append(places, place))
-        _solve(self.starts, self.rows, self.L, y, is_asked, np.empty((1, SIDE, SIDE)))
-        return np.asarray(y[places])
+    def inverse_in_column(self, column: int) -> np.ndarray:
+        """Blocks in one column of ``A^-1``: (n, 6, 6)."""
+        y = np.zeros((len(self.position), SIDE, SIDE))
+        y[self.position[column]] = np.eye(SIDE)
+        _solve(self.starts, self.rows, self.L, y, np.empty((1, SIDE, SIDE)))
+        return np.asarray(y[self.position])
 
     def inverse(self) -> "SelectedInverse":
         """Blocks of ``A^-1`` where L has some."""
@@ -208,20 +199,6 @@ def _subtract(A: np.ndarray, at: int, X: np.ndarray, r: int, Y: np.ndarray, q: i
 
 
 @compiled
-def _with_ancestors(starts: Indices, rows: Indices, places: Indices) -> Mask:
-    """Some rows and those that come into them when a system is solved: up the tree of eliminations, (n,)."""
-    found = np.zeros(len(starts) - 1, np.bool_)
-    for place in places:
-        j = place
-        while not found[j]:
-            found[j] = True
-            # The first row below a column's diagonal is its parent.
-            if starts[j] + 1 < starts[j + 1]:
-                j = rows[starts[j] + 1]
-    return found
-
-
-@compiled
 def _solve_column(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int) -> None:
     """Solve for block j with column j of L, and take what it explains from the blocks below."""
     for a in range(SIDE):
@@ -249,17 +226,12 @@ def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j:
 
 
 @compiled
-def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, is_asked: Mask, turned: np.ndarray) -> None:
-    """Overwrite blocks y (n, 6, 6), six right-hand sides, by ``L^-T L^-1 y`` where it is asked for.
-
-    That must include all ancestors of what it includes; elsewhere y must be zero.
-    """
+def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, turned: np.ndarray) -> None:
+    """Overwrite blocks y (n, 6, 6), six right-hand sides, by ``L^-T L^-1 y``."""
     for j in range(len(starts) - 1):
-        if is_asked[j]:
-            _solve_column(starts[j], starts[j + 1], rows, L, y, j)
+        _solve_column(starts[j], starts[j + 1], rows, L, y, j)
     for j in range(len(starts) - 2, -1, -1):
-        if is_asked[j]:
-            _solve_row(starts[j], starts[j + 1], rows, L, y, j, turned)
+        _solve_row(starts[j], starts[j + 1], rows, L, y, j, turned)
 
 
 @compiled

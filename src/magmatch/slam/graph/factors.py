@@ -8,14 +8,11 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.slam.config import LEAST_KEPT, MOST_ODDS
 from magmatch.typing import Covariance6, Indices, Mask, Points, Scalars, Tensors
 
 # Lasting errors of a log's odometry: scale and turn rate.
 N_LASTING = 2
-# Largest log odds of a closure, nats: with more, it could never be rejected.
-MOST_ODDS = 12.0
-# Probability above which a closure is kept.
-LEAST_KEPT = 0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,6 @@ class PoseGraph:
     submap_factors: tuple[SubmapFactor, ...] = ()  # instead of the closures with the passes of their submaps
     _closures: tuple[Closure, ...] = ()
     _arrays: ClosureArrays | None = None
-    _connected: Indices | None = None
     _factor: BlockCholesky | None = None
     _inverse: SelectedInverse | None = None
 
@@ -71,7 +70,7 @@ class PoseGraph:
 
     @closures.setter
     def closures(self, closures: Sequence[Closure]) -> None:
-        self._closures, self._arrays, self._connected = tuple(closures), None, None
+        self._closures, self._arrays = tuple(closures), None
 
     @property
     def as_arrays(self) -> ClosureArrays:
@@ -88,7 +87,7 @@ class PoseGraph:
 
     def grow(self, centers: Points, logs: Indices, edges: Edges) -> None:
         """Add nodes at the end: where odometry leads from those before, or in a frame of their own."""
-        self.edges, self._connected = self.edges.with_more(edges), None
+        self.edges = self.edges.with_more(edges)
         self.log = np.concatenate([self.log, logs])
         self.start = np.concatenate([self.start, centers])
         self.p = np.concatenate([self.p, centers])
@@ -122,13 +121,10 @@ class PoseGraph:
 
     def connected(self) -> Indices:
         """For each log, the first log that closures connect it to."""
-        if self._connected is not None:
-            return self._connected.copy()
         n, kept = len(self.lasting), np.flatnonzero(self.as_arrays.is_kept)
         one, other = self.log[self.as_arrays.first[kept]], self.log[self.as_arrays.second[kept]]
         group = connected_components(coo_array((np.ones(len(one)), (one, other)), shape=(n, n)), directed=False)[1]
-        self._connected = np.asarray(np.unique(group, return_index=True)[1][group])
-        return self._connected.copy()
+        return np.asarray(np.unique(group, return_index=True)[1][group])
 
     def on_submaps(self) -> Scalars:
         """Part of each closure that submap factors of either node with the other's pass stand for: (c,)."""
@@ -221,14 +217,14 @@ class PoseGraph:
 
     def factor(self, H: bsr_array) -> BlockCholesky:
         """Keep the information of all poses, from which their covariances follow."""
-        self._inverse, self._factor = None, BlockCholesky.of(H, self._factor)
+        self._inverse, self._factor = None, BlockCholesky.of(H)
         return self._factor
 
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
         """Covariance of xi in ``T_first_second Exp(xi)`` for each first node: (f, 6, 6), odometry's unit."""
         assert self._factor is not None
         seconds = np.full(len(firsts), second)
-        return self._relative(firsts, seconds, self._factor.inverse_in_column(firsts, second))
+        return self._relative(firsts, seconds, self._factor.inverse_in_column(second)[firsts])
 
     def relative_covariances_of_closures(self) -> np.ndarray:
         """Give the relative covariance of each closure's two nodes: (c, 6, 6)."""
@@ -251,15 +247,6 @@ class PoseGraph:
         """Standard deviation of a node's place relative to each of some others, in the direction least known."""
         C = self.relative_covariances(firsts, second)[:, 3:, 3:]
         return np.asarray(np.sqrt(np.linalg.eigvalsh(C)[:, -1]))
-
-    def most_sds_of_place(self, firsts: Indices, second: int) -> Scalars:
-        """Upper bound of `sds_of_place`: both nodes' own, and the first's turn over how far they are apart."""
-        own, apart = (
-            self.marginals()[np.append(firsts, second)],
-            np.linalg.norm(self.p[firsts] - self.p[second], axis=1),
-        )
-        places, turns = (np.sqrt(np.trace(own[:, k : k + 3, k : k + 3], axis1=1, axis2=2)) for k in (3, 0))
-        return np.asarray(places[-1] + places[:-1] + apart * turns[:-1])
 
     def covariances(self, nodes: Indices) -> np.ndarray:
         """Covariance of nodes (k,), in metres, with how well their scale is known: (k, 6, 6).

@@ -7,7 +7,8 @@ It follows from the closure's own odds, and from how far the rest of the graph c
 import numpy as np
 from scipy.special import expit
 
-from magmatch.slam.graph.factors import LEAST_KEPT, Closure, ClosureArrays
+from magmatch.slam.config import LEAST_KEPT
+from magmatch.slam.graph.factors import Closure, ClosureArrays
 from magmatch.slam.graph.normal_equations import counted, odometry_steps, residual_between
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.typing import Scalars

@@ -54,15 +54,19 @@ def session_in(folder: str | Path) -> tuple[Path, dict[str, Any]]:
     return path, load(path, SCHEMA, KINDS)
 
 
-def read_session(folder: str | Path, surveys: Sequence[Survey]) -> tuple[Session, list[Survey]]:
+def read_session(
+    folder: str | Path, surveys: Sequence[Survey], kept: tuple[Path, dict[str, Any]] | None = None
+) -> tuple[Session, list[Survey]]:
     """Read a session from a folder; also gives those of some surveys that are not in it yet.
+
+    ``kept``: what `session_in` gave, where it was read before.
 
     Raises
     ------
     DataFormatError
         The folder holds no session, or one of a survey that is not given.
     """
-    path, content = session_in(folder)
+    path, content = kept or session_in(folder)
     by_content = {describe_input(s)["sha256"]: s for s in surveys}
     with naming(path):
         given = [by_content.get(sha) for sha in content["inputs"]]

@@ -19,7 +19,7 @@ from magmatch.geometry import adjoint, product, rotation_matrix, turn_and_shift
 from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
-from magmatch.slam.graph.factors import MOST_ODDS
+from magmatch.slam.config import MOST_ODDS
 from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window
 from magmatch.typing import Covariance6, Indices, Scalars

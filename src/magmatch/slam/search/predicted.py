@@ -4,14 +4,10 @@
 import numpy as np
 
 from magmatch.geometry import transform_of
-from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.search.loop_closure import REACH, SAME_SHIFT, Rough
 from magmatch.slam.windows import Window
 from magmatch.typing import Indices
-
-# Probability that a registration needs. So sure is the graph of a place that it knows.
-SURE = DecisionConfig().min_probability
 
 
 def earlier_passes(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
@@ -31,11 +27,7 @@ def nearby(window: Window, nodes: Indices, graph: PoseGraph) -> Indices:
         return firsts[:0]
     apart = np.linalg.norm(graph.p[firsts] - graph.p[window.node], axis=1)
     beyond = (apart - window.path_length / 2 - window.length) / REACH
-    # A bound that costs little first: of a long log most are far away.
-    for sds in (graph.most_sds_of_place, graph.sds_of_place):
-        is_near = beyond <= sds(firsts, window.node)
-        firsts, beyond = firsts[is_near], beyond[is_near]
-    return np.asarray(firsts)
+    return np.asarray(firsts[beyond <= graph.sds_of_place(firsts, window.node)])
 
 
 def expected_beside(window: Window, nodes: Indices, graph: PoseGraph) -> dict[int, Rough]:

@@ -114,7 +114,7 @@ class SubmapMaker:
 
     def whole(self, path: Path, graph: PoseGraph) -> Shared[Submap]:
         """Submap of a whole log, as the graph has it now."""
-        return replace(self._shared(corrected(path, graph), path.nodes[path.number]), is_everywhere=True)
+        return self._shared(corrected(path, graph), path.nodes[path.number])
 
     def _shared(self, survey: Survey, node: Indices) -> Shared[Submap]:
         # Whatever else is known of them would be sent in vain.
