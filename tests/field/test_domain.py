@@ -55,15 +55,3 @@ def test_points_outside_the_box_are_known_as_little_as_the_prior_says(bounded):
     np.testing.assert_allclose(own, np.tile(own[:1], (3, 1, 1)), rtol=1e-6)
     assert np.diag(own[0]).min() > 0.95 * H_SIGNAL**2
     assert not boxed.knows(points).any()
-
-
-def test_a_grid_that_leaves_the_box_says_what_its_points_do(bounded):
-    _, boxed = bounded
-    for high in (0.7, 1.2):
-        axes = tuple(np.linspace(low, top, 3) for low, top in ((0.3, high), (0.3, 0.7), (0.0, 0.2)))
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        T = boxed.T_map_model.inv()
-        on_grid, one_by_one = boxed.posterior.evaluate_on_grid(axes, 1), boxed.posterior.evaluate(points, 1)
-        np.testing.assert_allclose(on_grid.gradient, one_by_one.gradient, atol=1e-15)
-        inside = boxed.posterior.box.contains(points)
-        assert inside.all() == boxed.knows(transform_points(points, T.inv())).all()

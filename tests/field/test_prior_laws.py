@@ -101,15 +101,6 @@ def test_derivatives_equal_finite_differences(posterior):
         np.testing.assert_allclose(bend, values.second[..., axis], atol=1e-5 * np.abs(values.second).max())
 
 
-def test_a_grid_equals_its_points(posterior):
-    axes = tuple(np.linspace(0.1, high, 5) for high in BOX)
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    on_grid, scattered = posterior.evaluate_on_grid(axes, 2), posterior.evaluate(points, 2)
-    for part in ("field", "gradient", "second"):
-        expected = getattr(scattered, part)
-        np.testing.assert_allclose(getattr(on_grid, part), expected, atol=1e-9 * np.abs(expected).max())
-
-
 def test_covariance_is_symmetric_positive_and_the_draws_have_it(posterior):
     covariance = posterior.covariance(QUERIES, 1)
     np.testing.assert_array_equal(covariance, covariance.transpose(0, 2, 1))

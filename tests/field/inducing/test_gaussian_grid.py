@@ -53,24 +53,11 @@ def test_evaluation_at_points_is_the_dense_sum(seed):
     assert_equal_to_rounding(flat(basis.evaluate(x, w, 2, CONSTANT)), dense)
 
 
-@laws
-@given(st.integers(0, 1000))
-def test_evaluation_on_a_grid_is_the_dense_sum(seed):
-    basis, rng = basis_of(seed)
-    axes = tuple(basis.grid.origin[k] + np.linspace(-0.7, 2.1, n) for k, n in enumerate((7, 5, 6)))
-    w = rng.normal(size=basis.n_weights) * 1e-5
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    dense = (basis.design(x, 2) @ w).reshape(39, -1).T
-    dense[:, :3] += CONSTANT
-    assert_equal_to_rounding(flat(basis.evaluate_on_grid(axes, w, 2, CONSTANT)), dense)
-
-
 @pytest.mark.parametrize("order", [0, 1])
 def test_lower_orders_are_parts_of_the_highest(order):
     basis, rng = basis_of(1)
-    axes = tuple(np.linspace(-1, 1, n) for n in (3, 4, 5))
-    w = rng.normal(size=basis.n_weights)
-    part, whole = basis.evaluate_on_grid(axes, w, order, CONSTANT), basis.evaluate_on_grid(axes, w, 2, CONSTANT)
+    x, w = rng.uniform(-1, 1, (30, 3)), rng.normal(size=basis.n_weights)
+    part, whole = basis.evaluate(x, w, order, CONSTANT), basis.evaluate(x, w, 2, CONSTANT)
     np.testing.assert_allclose(part.field, whole.field, atol=1e-13)
     assert part.second is None
     assert (part.gradient is None) == (order == 0)
@@ -84,10 +71,6 @@ def test_nodes_scattered_far_apart_are_summed_without_the_box_between():
     w = rng.normal(size=basis.n_weights)
     dense = (basis.design(points, 2) @ w).reshape(39, -1).T
     assert_equal_to_rounding(flat(basis.evaluate(points, w, 2, np.zeros(3))), dense)
-    axes = (np.array([0.1, 900.2]), np.array([0.3, 400.5]), np.array([0.1]))
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    expected = (basis.design(x) @ w).reshape(3, -1).T
-    np.testing.assert_allclose(basis.evaluate_on_grid(axes, w, 0, np.zeros(3)).field, expected, atol=1e-12)
 
 
 @laws

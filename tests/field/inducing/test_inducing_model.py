@@ -151,15 +151,6 @@ def test_field_has_no_divergence_even_in_draws(posterior):
         np.testing.assert_allclose(divergence, 0, atol=1e-9 * np.abs(gradient).max())
 
 
-def test_grid_evaluation_equals_evaluation_at_its_points(posterior):
-    axes = tuple(np.linspace(-0.3, 2, n) for n in (6, 5, 4))
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    gridded, listed = posterior.evaluate_on_grid(axes, 2), posterior.evaluate(points, 2)
-    for part in ("field", "gradient", "second"):
-        expected = getattr(listed, part)
-        np.testing.assert_allclose(getattr(gridded, part), expected, atol=1e-10 * np.abs(expected).max())
-
-
 @pytest.mark.parametrize("unit", [1e-3, 1e6])
 def test_the_unit_of_the_field_does_not_matter(posterior, samples, unit):
     points, field = samples

@@ -113,16 +113,6 @@ def test_derivatives_are_finite_differences(fitted):
         np.testing.assert_allclose(second[inside], values.second[inside][..., axis], atol=1e-7)
 
 
-def test_grid_equals_points(fitted):
-    _, posterior, _, _ = fitted
-    axes = (np.linspace(-1.0, 2.9, 17), np.linspace(0.1, 1.7, 9), np.linspace(-0.7, 1.4, 12))
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid, direct = posterior.evaluate_on_grid(axes, 2), posterior.evaluate(points, 2)
-    for name in ("field", "gradient", "second"):
-        expected = getattr(direct, name)
-        np.testing.assert_allclose(getattr(grid, name), expected, atol=1e-10 * np.abs(expected).max())
-
-
 def test_covariance_is_that_of_drawn_weights(fitted):
     _, posterior, _, _ = fitted
     q = np.array([[0.5, 0.5, 0.2], [2.3, 2.3, 0.3]])

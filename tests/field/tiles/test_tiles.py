@@ -161,15 +161,6 @@ def test_curl_vanishes_where_one_tile_answers_and_is_bounded_where_two_blend(fit
     assert np.all(curl <= 2 * steepest * differences.max(axis=1) + 1e-15)
 
 
-def test_grid_of_tiles_equals_points(fitted):
-    axes = (np.linspace(-2.4, 2.1, 23), np.linspace(-2, 1.7, 19), np.linspace(-0.3, 0.2, 3))
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    on_grid, at_points = fitted[1].evaluate_on_grid(axes, 2), fitted[1].evaluate(points, 2)
-    for name in ("field", "gradient", "second"):
-        scale = np.abs(getattr(at_points, name)).max()
-        np.testing.assert_allclose(getattr(on_grid, name), getattr(at_points, name), atol=1e-12 * scale)
-
-
 @settings(deadline=None, max_examples=2)
 @given(seed=st.integers(0, 1000))
 def test_samples_left_out_are_as_if_never_seen_in_any_order(fitted, seed):

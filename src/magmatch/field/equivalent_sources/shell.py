@@ -15,10 +15,8 @@ from scipy.spatial import cKDTree
 from magmatch.compiled import compiled
 from magmatch.field.equivalent_sources.charges import charge_design, charge_field
 from magmatch.field.inducing.kernels import N_ROWS
-from magmatch.field.linear_model import Axes
-from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX
+from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX, derivative_table, values_of
 from magmatch.field.values import FieldValues
-from magmatch.grid import spanned_points
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
 log = logging.getLogger(__name__)
@@ -83,21 +81,11 @@ class SourceShell:
 
     def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
         """Field and derivatives at points; the constant alone away from the region."""
-        n, is_near = len(points), self.is_whole(points)
-        out = np.zeros((n, N_ROWS[order]))
-        charges = self.scale * weights
-        out[is_near] = charge_field(np.ascontiguousarray(points[is_near]), self.sources, charges, order)[
-            :, _row_index(order)
-        ]
-        return FieldValues(
-            out[:, :3] + constant,
-            out[:, 3:12].reshape(n, 3, 3) if order >= 1 else None,
-            out[:, 12:].reshape(n, 3, 3, 3) if order >= 2 else None,
-        )
-
-    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, in C order."""
-        return self.evaluate(spanned_points(axes), weights, order, constant)
+        is_near = self.is_whole(points)
+        out = np.zeros((len(points), len(derivative_table(order))))
+        near = np.ascontiguousarray(points[is_near])
+        out[is_near] = charge_field(near, self.sources, self.scale * weights, order)
+        return values_of(out, constant, order)
 
 
 def lay_shell(region: Points, distance: float, spacing: float, max_sources: int) -> SourceShell:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fields of Gaussians on a regular grid of nodes, evaluated one axis after the other.
 
-Every derivative of a Gaussian is a product of one function per axis, so on a regular grid of query points field and
-derivatives are three small matrix products, and at scattered points one matrix product and two short sums.
+Every derivative of a Gaussian is a product of one function per axis: field and derivatives at points are one matrix
+product and two short sums.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,10 +21,8 @@ from magmatch.field.inducing.kernels import (
     stack_products,
     weights_per_node,
 )
-from magmatch.field.linear_model import Axes
 from magmatch.field.values import FieldValues
-from magmatch.grid import spanned_points
-from magmatch.typing import Mask, Matrix, Points, Vector3
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
 # Largest temporary array, in numbers: 64 MiB.
 _CHUNK_NUMBERS = 2**23
@@ -81,24 +79,7 @@ class GaussianGrid:
             n_lines = self.n_components * (highest_derivative(self.terms, order) + 1) * box.shape[2] * box.shape[3]
             for rows in chunks(len(points), n_lines):
                 self._sum_at_points(points[rows], box, order, out[:, rows])
-        return _as_values(out, order, constant)
-
-    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, in C order."""
-        if self._is_box_too_empty():
-            return self.evaluate(spanned_points(axes), weights, order, constant)
-        x, y, z = self._tables(axes, order)
-        box = self._scattered(weights)
-        plan, n = derivative_plan(self.terms, order), self.n_components
-        out = np.zeros((N_ROWS[order], len(axes[0]) * len(axes[1]) * len(axes[2])))
-        along_z = {a: box @ z[a].T for a in {alpha[2] for alpha, _ in plan}}
-        along_yz = {a: y[a[0]] @ along_z[a[1]] for a in {alpha[1:] for alpha, _ in plan}}
-        for alpha, targets in plan:
-            inner = along_yz[alpha[1:]]
-            summed = (x[alpha[0]] @ inner.reshape(n, inner.shape[1], -1)).reshape(n, -1)
-            for target in targets:
-                out[target.row] += (target.factor / self.lengthscale**target.n_derivatives) * summed[target.weight]
-        return _as_values(out, order, constant)
+        return rows_as_values(out, order, constant)
 
     def _products(self, points: Points, order: int) -> Callable[[Alpha], Matrix]:
         """Gives the derivatives of the Gaussians of all nodes at points: (n, m)."""
@@ -106,7 +87,7 @@ class GaussianGrid:
         i, j, k = self.grid.levels()[1]
         return lambda alpha: np.asarray(x[alpha[0]][:, i] * y[alpha[1]][:, j] * z[alpha[2]][:, k])
 
-    def _tables(self, coordinates: Axes, order: int) -> list[np.ndarray]:
+    def _tables(self, coordinates: tuple[Scalars, ...], order: int) -> list[np.ndarray]:
         """Hermite functions of coordinates against the nodes' coordinates, per axis: (highest + 1, q, n_axis)."""
         highest = highest_derivative(self.terms, order)
         return [
@@ -146,7 +127,7 @@ def chunks(n: int, numbers_per_point: int) -> Iterator[slice]:
     return (slice(start, min(start + step, n)) for start in range(0, n, step))
 
 
-def _as_values(rows: Matrix, order: int, constant: Vector3) -> FieldValues:
+def rows_as_values(rows: Matrix, order: int, constant: Vector3 | float = 0.0) -> FieldValues:
     """Field values from rows of components."""
     n = rows.shape[1]
     return FieldValues(
