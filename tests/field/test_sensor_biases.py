@@ -16,7 +16,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.sensor_biases import SensorBiases, no_biases, solve_biases
-from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from magmatch.field.cholesky.cells import count_active_cells
-from magmatch.field.cholesky.factors import Factors
-from magmatch.field.cholesky.multifrontal import factorise
+from magmatch.field.cholesky.multifrontal import Factors, factorise
 from magmatch.field.folds import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_basis import FIRST

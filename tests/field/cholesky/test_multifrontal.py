@@ -15,14 +15,15 @@ from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline.element_matrices import (
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.spline.spline_prior import (
+    CONSTANT_SD,
     divergence_matrix,
     lone_cell_covariance,
+    outside_covariance,
     prior_element,
     smoothness_matrix,
 )
-from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.spline.spline_prior import CONSTANT_SD, outside_covariance
 from magmatch.threads import on_one_core
 from oracles.dense_matrix import to_dense
 

@@ -12,8 +12,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
-from magmatch.field.equivalent_sources.holes import hole_charges
-from magmatch.field.equivalent_sources.inner_sources import find_inner_sources
+from magmatch.field.equivalent_sources.inner_sources import find_inner_sources, hole_charges
 from magmatch.field.equivalent_sources.magnets import find_magnets
 from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.inducing.gaussian_grid import GaussianGrid
-from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid, lay_inducing_grid
+from magmatch.field.inducing.gaussian_grid import GaussianGrid, InducingGrid, lay_affordable_grid, lay_inducing_grid
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 
 laws = settings(deadline=None, max_examples=15)

@@ -16,8 +16,7 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
-from magmatch.field.inducing.gaussian_grid import GaussianGrid
-from magmatch.field.inducing.inducing_grid import InducingGrid
+from magmatch.field.inducing.gaussian_grid import GaussianGrid, InducingGrid
 from magmatch.field.inducing.inducing_model import InducingModel, dense_prior, gram_factor
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 from magmatch.field.map import FieldMap

@@ -10,8 +10,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
-from magmatch.field.equivalent_sources.charges import charge_design, charge_field
-from magmatch.field.equivalent_sources.shell import lay_shell
+from magmatch.field.equivalent_sources.shell import charge_design, charge_field, lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.priors.harmonic import SPACING_RATIO, HarmonicPrior

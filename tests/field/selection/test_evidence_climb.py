@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.evidence_climb import climb, is_allowed, settle
-from magmatch.field.selection.noise_slopes import NoiseSlopes
+from magmatch.field.selection.spline_evidence import NoiseSlopes
 
 START = Hyperparameters(0.5, 3e-6, 0.1e-6, 0.2, divergence_weight=300.0)
 

@@ -10,7 +10,7 @@ from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.selection.outliers import find_outliers, reweighted_residuals
-from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.simulation.simulate import simulate
 

@@ -12,10 +12,9 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_fit import FitError
+from magmatch.field.tiles.region_model import TiledModel
+from magmatch.field.tiles.tile_fit import FitError, TileCache
 from magmatch.field.tiles.tiled_draws import normals
-from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.field.tiles.tiles import TileKeys, Tiling, smooth_step
 from magmatch.threads import one_blas_thread
@@ -257,7 +256,7 @@ def test_region_of_countless_tiles_is_refused_in_one_line(monkeypatch):
 def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, monkeypatch):
     model, posterior, x, b = fitted
     few_bytes = 4.5 * max(posterior.factored(k).factors.full.n_bytes for k in range(len(model.tiles)))
-    monkeypatch.setattr("magmatch.field.tiles.tiled_model.FACTORED_BYTES", few_bytes)
+    monkeypatch.setattr("magmatch.field.tiles.region_model.FACTORED_BYTES", few_bytes)
     elsewhere = model.fit(x, b, {}, lambda fit, tasks: [fit(task) for task in tasks])
     frugal, q = model.infer(model.observe(x, b)), inside(40)
     for other in (elsewhere, frugal):

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
 from magmatch.errors import DataFormatError, MissingExtraError
-from magmatch.preparation.odometry.dead_reckon import dead_reckon
-from magmatch.preparation.odometry.steps import STEP_FREQUENCY, WEINBERG_FACTOR, find_steps
+from magmatch.preparation.odometry.dead_reckon import STEP_FREQUENCY, WEINBERG_FACTOR, dead_reckon, find_steps
 
 pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
 RATE, STEP_RATE, SWING, G = 100.0, 1.8, 2.5, 9.81

@@ -8,20 +8,18 @@ from functools import partial
 import numpy as np
 
 from magmatch.field.cholesky.cells import HALF_OFFSET, CellGrid, lay_cells
-from magmatch.field.cholesky.factors import Factors
-from magmatch.field.cholesky.multifrontal import factorise
+from magmatch.field.cholesky.multifrontal import Factors, factorise, refined_solve
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
 from magmatch.field.cholesky.point_solves import joint_covariances, marginal_covariances, solve_operations
-from magmatch.field.cholesky.refined_solve import refined_solve
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_elements
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Piece
-from magmatch.field.spline.element_matrices import cell_weights
 from magmatch.field.spline.spline_basis import FIRST, derivative_table, values_of
 from magmatch.field.spline.spline_kernels import add_gram, evaluate_points, linear_rows, point_covariances
 from magmatch.field.spline.spline_prior import (
     cell_precision,
+    cell_weights,
     constant_precision,
     expand,
     prior_outside,

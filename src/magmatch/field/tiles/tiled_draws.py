@@ -18,11 +18,10 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import CellGrid
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline.element_matrices import cell_weights
 from magmatch.field.spline.spline_basis import FIRST
 from magmatch.field.spline.spline_kernels import add_right_hand_sides
 from magmatch.field.spline.spline_model import SplinePosterior
-from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision
+from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision, cell_weights
 from magmatch.field.tiles.tile_fit import TileTask, TileTasks
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Matrix, Scalars

@@ -23,8 +23,7 @@ from magmatch.field.linear_model import Index, Piece
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import Share, blended_covariance, blended_values, tile_shares
-from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_fit import TileTasks
+from magmatch.field.tiles.tile_fit import TileCache, TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
