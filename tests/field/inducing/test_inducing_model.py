@@ -21,7 +21,7 @@ from magmatch.field.inducing.inducing_model import InducingModel, dense_prior, g
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.field.priors.divergence_free import DivergenceFreePrior
+from magmatch.field.priors.gaussian import DivergenceFreePrior
 from magmatch.published.recursion import RecursiveField
 from oracles.dense import DenseGP
 

@@ -16,7 +16,13 @@ from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_element
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index, Piece
 from magmatch.field.spline.spline_basis import FIRST, derivative_table, values_of
-from magmatch.field.spline.spline_kernels import add_gram, evaluate_points, linear_rows, point_covariances
+from magmatch.field.spline.spline_kernels import (
+    add_gram,
+    evaluate_points,
+    linear_rows,
+    point_covariances,
+    right_hand_sides,
+)
 from magmatch.field.spline.spline_prior import (
     cell_precision,
     cell_weights,
@@ -187,11 +193,7 @@ class SplinePosterior:
 
     def loads(self, points: Points, fields: np.ndarray) -> Matrix:
         """Sums ``Phi^T b`` of fields, (m + 3, k)."""
-        cell, t = self.cells.locate(points)
-        out = np.zeros((len(self.weights), fields.shape[2]))
-        rows = self._rows(cell, t, derivative_table(0))
-        np.add.at(out, self._unknowns(cell), np.swapaxes(rows, 1, 2) @ fields)
-        return out
+        return right_hand_sides(self.cells, points, fields)
 
     def solve(self, loads: Matrix) -> Matrix:
         """Weights of the fields that are fitted to others, (m + 3, k)."""
