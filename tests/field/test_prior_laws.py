@@ -71,12 +71,6 @@ def test_samples_left_out_in_any_order_and_split_are_as_if_never_seen(samples, m
     assert_same_posterior(model.infer(rest), model.infer(model.observe(points[kept], field[kept])))
 
 
-def test_the_order_of_samples_does_not_matter(samples, model, posterior):
-    points, field = samples
-    order = np.random.default_rng(0).permutation(300)
-    assert_same_posterior(model.infer(model.observe(points[order], field[order])), posterior)
-
-
 def test_the_laws_that_are_promised_hold_exactly(name, posterior):
     away = QUERIES + np.random.default_rng(1).normal(size=QUERIES.shape) * 0.3
     for points in (QUERIES, away):
