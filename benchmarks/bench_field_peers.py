@@ -16,7 +16,7 @@ import numpy as np
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
-from magmatch.field.priors.divergence_free import DivergenceFreePrior
+from magmatch.field.priors.gaussian import DivergenceFreePrior
 from magmatch.threads import single_threaded
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 from oracles.dense import DenseGP

@@ -19,7 +19,7 @@ from threadpoolctl import threadpool_limits
 from magmatch.data.recordings import load_recordings
 from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.inducing.inducing_grid import lay_inducing_grid
+from magmatch.field.inducing.gaussian_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed

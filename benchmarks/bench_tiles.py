@@ -22,7 +22,7 @@ from magmatch.field.config import SPLINE
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.simulation.paths import resample
 from magmatch_evaluation.script import UT, alone, arguments, peak_mib, rmse_ut, timed

@@ -31,10 +31,10 @@ from magmatch.geometry import rotate_vectors, transform_error, transform_points
 from magmatch.grid import RegularGrid
 from magmatch.published import Inferred, PublishedConfig
 from magmatch.published.register import comparable
-from magmatch.simulation.measure import measure
 from magmatch.simulation.paths import SensorPath, boustrophedon
 from magmatch.simulation.scenarios import ROBOT_HEIGHT, TABLE_ROW_SPACING, TABLE_SIZE, build_scene
 from magmatch.simulation.scene import Scene, SimulatedPair, Streams
+from magmatch.simulation.simulate import measure
 from magmatch_evaluation.experiments import Tolerance
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, in_groups, kept

@@ -12,7 +12,7 @@ from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import origin_of
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
-from magmatch.field.given_surveys import surveys_of
+from magmatch.field.build import surveys_of
 
 N = 12
 T = 0.1 * np.arange(N)

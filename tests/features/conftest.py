@@ -70,9 +70,6 @@ class TruePosterior:
         x = transform_points(points, self.T_world_model)
         return self.source.values(x, order).rotated(self.T_world_model.inv())
 
-    def evaluate_on_grid(self, axes, order=0):
-        return self.evaluate(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), order)
-
     def covariance(self, points, order=0):
         return 1e-14 * (2 + points[:, 0] / self.high[0])[:, None, None] * I3
 

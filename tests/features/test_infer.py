@@ -7,7 +7,6 @@ import pytest
 from magmatch.errors import ConfigurationError
 from magmatch.features.config import FeatureConfig
 from magmatch.features.infer import grid_spacing, in_hull, infer
-from magmatch.field.cholesky.cells import ball_offsets
 from magmatch.geometry import random_transform
 
 
@@ -57,16 +56,6 @@ def test_a_stated_spacing_is_used_or_refused(make_map):
         infer(field_map, FeatureConfig(spacing=0.01))
 
 
-@pytest.mark.parametrize("kind", ["region", "path"])
-def test_the_kind_of_grid_can_be_chosen(make_map, kind):
-    field_map = make_map(0, x=circle())
-    config = FeatureConfig(spacing=0.2, grid=kind)
-    points = infer(field_map, config)
-    assert field_map.knows(points.positions).all()
-    near = np.linalg.norm(points.positions[:, None] - circle(), axis=2).min(axis=1) < 0.8
-    assert near.all() == (kind == "path")
-
-
 def test_only_points_that_the_map_knows_are_asked(make_map):
     field_map = make_map(0, x=circle())
     assert field_map.knows(infer(field_map, FeatureConfig(spacing=0.1)).positions).all()
@@ -78,12 +67,6 @@ def test_the_number_of_points_is_bounded(make_map, kind):
     field_map = make_map(0)
     assert 500 < len(infer(field_map, config)) <= 2000
     assert grid_spacing(field_map, config) > 0.05
-
-
-def test_spacing_follows_the_lengthscale(make_map):
-    field_map = make_map(0)
-    config = FeatureConfig(spacing_in_lengthscales=0.3)
-    np.testing.assert_allclose(grid_spacing(field_map, config), 0.3 * field_map.hyperparameters.lengthscale)
 
 
 @pytest.mark.parametrize("kind", ["region", "path"])
@@ -98,17 +81,3 @@ def test_support_is_what_lies_within_the_radius(make_map, kind):
     )
     apart = np.linalg.norm(points.positions[rows][:, None] - points.positions, axis=2) / 0.15
     assert np.array_equal(there.sum(axis=1), (apart < 2.5 + 1e-6).sum(axis=1) - 1)
-
-
-def test_four_spacings_hold_257_points():
-    assert len(ball_offsets(4.0)) == 257
-
-
-@pytest.mark.parametrize("axes", ["survey", "principal"])
-def test_values_are_those_at_the_points_whichever_way_they_are_asked(make_map, axes):
-    for x in (None, circle()):
-        field_map = make_map(0, x=x)
-        points = infer(field_map, FeatureConfig(spacing=0.15, axes=axes))
-        asked, direct = points.values, field_map.evaluate(points.positions, 2)
-        np.testing.assert_allclose(asked.field, direct.field, atol=1e-15)
-        np.testing.assert_allclose(asked.second, direct.second, atol=1e-12)

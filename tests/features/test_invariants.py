@@ -33,12 +33,6 @@ def test_frames_turn_with_the_field(seed):
     )
 
 
-def test_frames_are_right_handed_rotations():
-    frames = point_frames(*random_point(1))
-    np.testing.assert_allclose(frames @ np.swapaxes(frames, 1, 2), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(frames), 1.0, atol=1e-12)
-
-
 def test_chirality_changes_sign_in_the_mirror():
     field, gradient = random_point(2)
     mirror = np.diag([1.0, 1.0, -1.0])

@@ -4,7 +4,6 @@
 import numpy as np
 
 from magmatch.features.config import FeatureConfig
-from magmatch.features.extract import extract_features
 from magmatch.features.infer import infer
 from magmatch.features.local_frames import frame_axes
 
@@ -28,14 +27,6 @@ def test_points_outside_the_map_do_not_count():
     field = [[0, 0, 2e-5], [1e-5, 0, 3e-5], [0, 4e-5, -1e-5]]
     frames, _ = frames_of(field, [[1, -1]])
     np.testing.assert_allclose(frames[0, :, 0], [1, 0, 0])
-
-
-def test_frames_are_rotations(make_map):
-    features = extract_features(make_map(1), FINE)
-    R = features.local_frames.as_matrix()
-    np.testing.assert_allclose(R @ np.swapaxes(R, 1, 2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.det(R), 1)
-    np.testing.assert_allclose(R[:, :, 2], features.field / np.linalg.norm(features.field, axis=1, keepdims=True))
 
 
 def test_a_field_that_vanishes_or_has_no_lateral_part_gives_no_frame():

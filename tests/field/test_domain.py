@@ -10,7 +10,6 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.geometry import random_transform, transform_points
 
-H_SIGNAL = 1e-6
 BOX = (0.2, 0.2, -1.0, 0.8, 0.8, 1.0)
 
 
@@ -46,24 +45,3 @@ def test_the_box_moves_with_its_map_and_is_saved_with_it(bounded, tmp_path):
 def test_a_box_inside_out_is_refused():
     with pytest.raises(ConfigurationError, match="x0 < x1"):
         FieldConfig(prior="spline", domain=(1, 0, 0, 0, 1, 1))
-
-
-def test_points_outside_the_box_are_known_as_little_as_the_prior_says(bounded):
-    _, boxed = bounded
-    points = np.array([[0.9, 0.5, 0.1], [0.9, 0.5, 0.11], [3.0, -2.0, 4.0]])
-    own = boxed.covariance(points)
-    np.testing.assert_allclose(own, np.tile(own[:1], (3, 1, 1)), rtol=1e-6)
-    assert np.diag(own[0]).min() > 0.95 * H_SIGNAL**2
-    assert not boxed.knows(points).any()
-
-
-def test_a_grid_that_leaves_the_box_says_what_its_points_do(bounded):
-    _, boxed = bounded
-    for high in (0.7, 1.2):
-        axes = tuple(np.linspace(low, top, 3) for low, top in ((0.3, high), (0.3, 0.7), (0.0, 0.2)))
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        T = boxed.T_map_model.inv()
-        on_grid, one_by_one = boxed.posterior.evaluate_on_grid(axes, 1), boxed.posterior.evaluate(points, 1)
-        np.testing.assert_allclose(on_grid.gradient, one_by_one.gradient, atol=1e-15)
-        inside = boxed.posterior.box.contains(points)
-        assert inside.all() == boxed.knows(transform_points(points, T.inv())).all()

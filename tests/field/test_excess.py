@@ -8,7 +8,7 @@ import pytest
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.field.config import SPLINE, FieldConfig
+from magmatch.field.config import FieldConfig
 from magmatch.field.excess import excess
 from magmatch.field.prior_choice import choose_prior as choice
 from magmatch.field.prior_choice.cross_validation import PriorCandidate
@@ -63,11 +63,6 @@ def test_auto_names_and_leaves_out_a_prior_whose_field_the_samples_make_impossib
     with caplog.at_level(logging.WARNING):
         assert choice.best_possible([spline, taken], survey) is spline
     assert "prior harmonic is out of the choice" in caplog.text
-
-
-def test_a_constant_field_is_no_excess():
-    survey = Survey(lines().positions, np.tile([18e-6, 2e-6, -44e-6], (240, 1)))
-    assert excess(build_map(survey, SPLINE), survey) == ""
 
 
 def test_on_a_line_nothing_is_known_beyond_the_reach_of_its_samples():

@@ -4,17 +4,11 @@
 import numpy as np
 import pytest
 
-from magmatch.field.folds import cube_numbers, divide, has_path_order, path_segments
+from magmatch.field.folds import divide, has_path_order, path_segments
 
 rng = np.random.default_rng(0)
 CLOUD = rng.uniform(0, 3, (2000, 3))
 WALK = np.c_[np.linspace(0, 20, 2000), np.sin(np.linspace(0, 9, 2000)), np.zeros(2000)]
-
-
-def test_walks_have_path_order_and_clouds_do_not():
-    assert has_path_order(WALK)
-    assert not has_path_order(CLOUD)
-    assert not has_path_order(WALK[rng.permutation(len(WALK))])
 
 
 def test_segments_are_contiguous_and_of_the_length_asked_for():
@@ -23,12 +17,6 @@ def test_segments_are_contiguous_and_of_the_length_asked_for():
     along = np.linalg.norm(np.diff(WALK, axis=0), axis=1)
     lengths = np.bincount(segment[1:], weights=along)
     assert np.all(np.abs(lengths - 1.0) < 0.15)
-
-
-def test_points_of_one_cube_lie_within_it():
-    cube = cube_numbers(CLOUD, 0.5)
-    for k in range(10):
-        assert np.ptp(CLOUD[cube == k], axis=0).max() <= 0.5
 
 
 def test_parts_cover_a_survey_and_its_end():

@@ -62,28 +62,6 @@ def test_without_factors_the_mean_is_the_same(posterior):
             mean.covariance(q)
 
 
-def test_second_derivatives_are_differences_of_the_gradient(posterior):
-    q, e = queries(20), 1e-6
-    second = posterior.evaluate(q, 2).second
-    for axis in range(3):
-        step = e * np.eye(3)[axis]
-        by_difference = (posterior.evaluate(q + step, 1).gradient - posterior.evaluate(q - step, 1).gradient) / (
-            2 * e
-        )
-        np.testing.assert_allclose(second[..., axis], by_difference, atol=1e-5 * np.abs(second).max())
-
-
-def test_grid_is_the_dense_sum(posterior):
-    axes = (np.linspace(-0.6, 2.2, 5), np.linspace(0.0, 1.4, 3)[::-1], np.linspace(-0.2, 0.8, 4))
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    parts = [posterior.evaluate(points, 2, w) for w in np.eye(len(posterior.weights))]
-    for name, order in (("field", 0), ("gradient", 1), ("second", 2)):
-        dense = np.tensordot(posterior.weights, [getattr(p, name) for p in parts], 1)
-        for highest in range(order, 3):
-            grid = getattr(posterior.evaluate_on_grid(axes, highest), name)
-            np.testing.assert_allclose(grid, dense, atol=1e-9 * np.abs(dense).max())
-
-
 @pytest.mark.parametrize("prior", sorted(PRIORS))
 @pytest.mark.parametrize("box", [None, (0.0, 0.0, 0.0, 1.2, 1.2, 0.5)])
 def test_covariances_turn_with_the_map(prior, box):

@@ -71,12 +71,6 @@ def test_samples_left_out_in_any_order_and_split_are_as_if_never_seen(samples, m
     assert_same_posterior(model.infer(rest), model.infer(model.observe(points[kept], field[kept])))
 
 
-def test_the_order_of_samples_does_not_matter(samples, model, posterior):
-    points, field = samples
-    order = np.random.default_rng(0).permutation(300)
-    assert_same_posterior(model.infer(model.observe(points[order], field[order])), posterior)
-
-
 def test_the_laws_that_are_promised_hold_exactly(name, posterior):
     away = QUERIES + np.random.default_rng(1).normal(size=QUERIES.shape) * 0.3
     for points in (QUERIES, away):
@@ -99,15 +93,6 @@ def test_derivatives_equal_finite_differences(posterior):
         bend = (after.gradient - before.gradient) / (2 * step)
         np.testing.assert_allclose(slope, values.gradient[:, :, axis], atol=1e-6 * np.abs(values.gradient).max())
         np.testing.assert_allclose(bend, values.second[..., axis], atol=1e-5 * np.abs(values.second).max())
-
-
-def test_a_grid_equals_its_points(posterior):
-    axes = tuple(np.linspace(0.1, high, 5) for high in BOX)
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    on_grid, scattered = posterior.evaluate_on_grid(axes, 2), posterior.evaluate(points, 2)
-    for part in ("field", "gradient", "second"):
-        expected = getattr(scattered, part)
-        np.testing.assert_allclose(getattr(on_grid, part), expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_covariance_is_symmetric_positive_and_the_draws_have_it(posterior):

@@ -12,7 +12,6 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.field.saved_map import MapRecord
 from magmatch.geometry import random_transform
 
 
@@ -97,23 +96,11 @@ def test_samples_and_settings_come_back_to_the_bit(field_map, tmp_path):
     assert np.array_equal(loaded.posterior.weights, field_map.posterior.weights)
 
 
-def test_survey_without_times_and_orientations_comes_back_without(tmp_path):
-    make_map(times=None, orientations=None).save(tmp_path / "m")
-    survey = FieldMap.load(tmp_path / "m").survey
-    assert survey.times is None
-    assert survey.orientations is None
-
-
 def test_same_map_gives_the_same_bytes_at_any_time(field_map, tmp_path, monkeypatch):
     field_map.save(tmp_path / "a")
     monkeypatch.setattr("time.time", lambda: 2e9)
     FieldMap.load(tmp_path / "a").save(tmp_path / "b")
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
-def test_samples_are_read_without_fitting(saved, monkeypatch):
-    monkeypatch.setattr("magmatch.field.saved_map.fit_posterior", None)
-    assert len(MapRecord.read(saved).survey) == 60
 
 
 def test_map_with_nan_is_not_written(tmp_path, spline_map):

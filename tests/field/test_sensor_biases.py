@@ -16,7 +16,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.sensor_biases import SensorBiases, no_biases, solve_biases
-from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
@@ -92,19 +92,6 @@ def test_biases_are_those_of_a_gaussian_process_with_bias_columns():
     expect_joint_solution(found, G, np.linalg.solve(K + s**2 * np.eye(len(K)), G), samples.field)
 
 
-def test_biases_are_those_that_fits_of_their_columns_leave():
-    surveys, _ = walks(3, n=25)
-    _, samples, found = solved(surveys)
-    G = columns_of(surveys)
-
-    def smooth(column):
-        given = replace(samples, field=column.reshape(-1, 3))
-        return fit_unbounded(given, NUMBERS, PRIORS["spline"], {}, None).evaluate(samples.positions).field.ravel()
-
-    left = G - np.transpose([smooth(column) for column in G.T])
-    expect_joint_solution(found, G, left / NUMBERS.noise_sd**2, samples.field)
-
-
 def test_a_bias_of_the_sensor_moves_its_estimate_and_hardly_the_map():
     surveys, _ = walks(8)
     step = np.array([3e-6, -4e-6, 5e-6])
@@ -167,12 +154,6 @@ def test_a_map_without_biases_to_solve_is_the_same_to_the_bit(change):
     np.testing.assert_array_equal(field_map.posterior.weights, build_map(merged, config).posterior.weights)
 
 
-def test_sensors_without_bias_are_found_to_have_next_to_none():
-    surveys, _ = walks(6, spread=0)
-    _, _, found = solved(surveys, None)
-    assert found.spread < 0.1 * SPREAD
-
-
 def test_a_survey_without_orientations_tells_the_others_their_bias():
     surveys, biases = walks(6)
     bare = replace(walk(np.random.default_rng(7), np.zeros(3), n=200), orientations=None)
@@ -196,12 +177,6 @@ def test_a_log_added_to_a_map_has_its_bias_solved_against_it(mapped, tmp_path):
     np.testing.assert_array_equal(loaded.biases.bias, grown.biases.bias)
     assert loaded.biases.spread == grown.biases.spread
     assert loaded.transformed(RigidTransform.from_translation([1, 0, 0])).biases is loaded.biases
-
-
-def test_a_map_without_one_of_its_logs_has_one_bias_less(mapped):
-    field_map, surveys, _ = mapped
-    fewer = field_map.without_samples(np.arange(len(field_map.survey)) < len(surveys[0]))
-    np.testing.assert_array_equal(fewer.biases.bias, field_map.biases.bias[1:])
 
 
 def test_a_sensor_in_a_map_of_biased_sensors_may_be_as_biased_as_those(mapped):

@@ -21,10 +21,6 @@ def test_the_distance_of_samples_anywhere_is_the_side_of_the_cube_that_each_has(
     assert sample_distance(10 * x) == pytest.approx(10 * sample_distance(x))
 
 
-def test_the_distance_of_samples_at_one_place_is_nothing():
-    assert sample_distance(np.zeros((5, 3))) == 0
-
-
 @pytest.mark.parametrize("n", [1, 40, 200])
 def test_one_place_is_the_samples_nearest_to_the_one_in_the_middle(n):
     points = np.random.default_rng(1).normal(size=(200, 3))

@@ -18,23 +18,11 @@ def test_typical_length_of_a_squared_exponential_potential_is_its_lengthscale(le
     assert typical_length(CLOUD, field) == pytest.approx(length, rel=0.35)
 
 
-@pytest.mark.parametrize("power", [-10, 10])
-def test_typical_length_follows_the_unit_of_length(power):
-    field = 1e-6 * np.sin(3 * CLOUD)
-    there = typical_length(CLOUD * 2.0**power, field)
-    assert there == pytest.approx(2.0**power * typical_length(CLOUD, field), rel=1e-9)
-
-
 def test_a_few_spikes_do_not_change_the_typical_length():
     field = 1e-6 * np.sin(3 * CLOUD)
     spiked = field.copy()
     spiked[::100] += 1e-4
     assert typical_length(CLOUD, spiked) == pytest.approx(typical_length(CLOUD, field), rel=0.3)
-
-
-def test_typical_length_of_noise_is_that_of_the_region():
-    noise = np.random.default_rng(2).normal(size=CLOUD.shape)
-    assert typical_length(CLOUD, noise) == pytest.approx(np.linalg.norm(np.ptp(CLOUD, axis=0)) / 4)
 
 
 @pytest.mark.parametrize("n", [24_000])

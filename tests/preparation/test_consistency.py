@@ -32,16 +32,6 @@ def test_what_is_left_is_what_the_map_of_each_column_misses_and_the_left_side_is
         np.testing.assert_allclose(rest, column - map_of(column, WEIGHTS).evaluate(X).field, atol=1e-12)
 
 
-def test_it_is_linear_and_symmetric():
-    columns = 1e-6 * RNG.standard_normal((3, 150, 3))
-    columns[2] = 2 * columns[0] - columns[1]
-    left, right = MapConsistency(X, H, WEIGHTS).project(columns)
-    np.testing.assert_allclose(right[2], 2 * right[0] - right[1], atol=1e-14)
-    products = np.einsum("inc,jnc->ij", left, right)
-    np.testing.assert_allclose(products, products.T, rtol=1e-6)
-    assert np.linalg.eigvalsh(products[:2, :2]).min() > 0
-
-
 def test_a_smooth_field_is_explained_and_its_gradient_is_the_slope():
     consistency = MapConsistency(X, H, np.ones(150))
     values = FIELD.evaluate(X, 1)

@@ -67,13 +67,6 @@ def test_a_current_is_reported_with_its_coefficient(flagged, disturbed):
     np.testing.assert_allclose(step.figures["estimate"][:2], disturbed[2][:2], rtol=0, atol=0.2e-6)
 
 
-def test_a_channel_that_does_nothing_is_not_shown(flagged):
-    step = flagged[1]["channel noise"]
-    assert step.outcome == "unchanged"
-    assert step.words.endswith("not shown")
-    assert "not shown" not in flagged[1]["channel amps"].words
-
-
 def test_a_current_is_taken_off_where_asked_for(removed, disturbed):
     step = removed[1]["channel amps"]
     assert step.outcome == "applied"
@@ -87,20 +80,10 @@ def test_spikes_are_found_and_removed(removed):
     assert removed[1]["spikes"].words.endswith("left out")
 
 
-def test_repeated_readings_are_found(flagged):
-    assert flagged[1]["drop-outs"].figures["runs"] == [[pytest.approx(35.05), pytest.approx(35.15)]]
-
-
 def test_metal_that_passed_is_found_where_it_passed(removed):
     found = removed[1]["moving metal"].figures["runs"]
     assert found
     assert all(19.5 < first <= last < 24.5 for first, last in found)
-
-
-def test_what_is_removed_is_counted(removed):
-    survey, report = removed
-    assert report.n_samples == (1200, len(survey))
-    assert 1100 < len(survey) < 1190
 
 
 def test_nothing_left_is_an_error_in_words(robot):

@@ -117,13 +117,6 @@ def test_logs_that_cannot_tell_are_left_alone():
     assert len(find_recalibrations(replace(turned([(100, np.full(3, 40 * UT))]), times=None, trajectory=None))) == 0
 
 
-def test_pieces_are_those_between_the_jumps():
-    found = find_recalibrations(turned([(100, np.full(3, 30 * UT)), (150, np.full(3, -20 * UT))]))
-    assert np.bincount(found.piece_of(400)).tolist() == [100, 50, 250]
-    channels = found.channels(400)
-    assert [int(values.sum()) for values in channels.values()] == [100, 50]
-
-
 @pytest.fixture(scope="module")
 def phone(hand_held):
     """The clean log; it with a bias that jumps twice; it with a large bias that stays."""
@@ -156,14 +149,6 @@ def test_a_log_that_jumped_is_prepared_as_if_it_had_not(phone):
 
 
 @pytest.mark.slow
-def test_switched_off_nothing_is_cut(phone):
-    clean, jumping, _ = phone
-    prepared, report = prepare(jumping, QUICK.model_copy(update={"recalibration": "off"}))
-    assert "recalibration" not in [step.step for step in report.steps]
-    assert error(prepared, clean) > 5 * UT
-
-
-@pytest.mark.slow
 def test_the_readings_with_the_smaller_misfit_are_taken(phone):
     clean, jumping, raw = phone
     uncut = QUICK.model_copy(update={"recalibration": "off"})
@@ -186,11 +171,6 @@ def test_the_phones_own_is_taken_where_nothing_turns(phone):
     assert report.steps[0].figures["taken"] == "own"
     assert "does not determine the raw ones' bias" in report.steps[0].words
     assert error(prepared, clean) < 0.5 * UT
-
-
-def test_without_raw_readings_there_is_no_choice(phone):
-    _, report = prepare_either(phone[0], None, QUICK)
-    assert report.steps[0].step != "magnetometer"
 
 
 def squares(pose_seconds, sensor_seconds, lag=0.0, seed=0, corner=np.pi / 2, axis=2):

@@ -6,11 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.preparation.calibrate_on_map import calibrate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.prepare import prepare
-from magmatch.preparation.sensor_log import SensorLog
 
 FAST = PreparationConfig.model_validate({"disturbances": {"spikes": "off", "moving_metal": "off"}})
 
@@ -37,10 +34,6 @@ def test_soft_iron_is_found_within_half_a_percent(prepared, hand_held):
     truth = hand_held[2].soft_iron / np.cbrt(np.linalg.det(hand_held[2].soft_iron))
     assert step.outcome == "applied"
     np.testing.assert_allclose(step.figures["soft_iron"], truth, rtol=0, atol=5e-3)
-
-
-def test_a_turn_of_the_sensor_that_is_not_there_is_not_applied(prepared):
-    assert prepared[1]["misalignment"].outcome == "unchanged"
 
 
 def test_the_prepared_field_is_the_clean_one_to_its_noise(prepared, hand_held):
@@ -92,15 +85,6 @@ def test_without_orientations_nothing_is_guessed(hand_held):
         assert "orientations" in report[name].words
 
 
-def test_without_times_the_sensor_is_still_calibrated(robot):
-    clean, _, corruption = robot
-    readings = clean.orientations.apply(clean.field, inverse=True) + corruption.hard_iron
-    raw = replace(clean, field=clean.orientations.apply(readings), times=None)
-    report = prepare(raw, FAST)[1]
-    assert report["time offset"].outcome == "unknown"
-    np.testing.assert_allclose(report.sensor.shift[:2], corruption.hard_iron[:2], rtol=0, atol=0.3e-6)
-
-
 def test_too_few_samples_are_said_to_be_too_few(hand_held):
     few = hand_held[1].subset(np.arange(50))
     survey, report = prepare(few, FAST)
@@ -114,12 +98,3 @@ def test_a_sensor_that_never_turned_tells_nothing_about_its_hard_iron(robot):
     survey, report = prepare(still, FAST)
     assert survey is still
     assert report["hard iron"].figures["is_open"] == [True, True, True]
-
-
-def test_what_is_corrected_leaves_no_trace_in_the_settings_of_the_map(hand_held):
-    """Else samples beside steel look like metal that moved: errors of the raw log are many times the map's noise."""
-    clean, raw, _ = hand_held
-    log = SensorLog.of(raw)
-    found = calibrate(log, FAST, {}, np.ones(len(log), dtype=bool))
-    right = choose_spline_hyperparameters(clean.positions, clean.field)
-    assert found.hyperparameters.noise_sd < 1.2 * right.noise_sd

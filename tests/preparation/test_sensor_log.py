@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Readings and poses on two clocks: where a moved stamp falls, and how fast the poses change there."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -61,14 +59,6 @@ def test_readings_are_covered_where_they_have_a_pose_give_or_take_the_margin(log
     assert (both.sum(), both[5], both[4], both[-6], both[-5]) == (190, True, False, True, False)
 
 
-def test_without_a_clock_nothing_moves(log):
-    still = replace(log, times=None, trajectory=None)
-    assert still.covered(9.0).all()
-    assert still.at(0.5)[0] is still.positions
-    assert not still.poses(0.5).velocity.any()
-    assert still.subset(np.arange(3)).times is None
-
-
 def test_a_trajectory_of_its_own_is_used_and_one_pose_is_none(log):
     t = np.arange(0, 5, 0.5)
     own = Trajectory(t, *poses_at(t))
@@ -77,10 +67,3 @@ def test_a_trajectory_of_its_own_is_used_and_one_pose_is_none(log):
     one = SensorLog.of(survey.subset(np.arange(1)))
     assert one.times is None
     assert len(one) == 1
-
-
-def test_a_margin_is_taken_about_the_moved_stamps(log):
-    for offset, n in ((0.1, 192), (-0.1, 192)):
-        found, ends = log.covered(offset, 0.055), (log.covered(share * offset) for share in (1.55, 0.45))
-        assert found.sum() == n
-        np.testing.assert_array_equal(found, next(ends) & next(ends))

@@ -6,8 +6,6 @@ from datetime import date
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +18,6 @@ from magmatch.preparation.preparation_report import PreparationReport, StepRepor
 from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.preparation.survey_steps import resample_by_distance, steps_of
 
-SETTINGS = settings(deadline=None, max_examples=30)
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
 
 
@@ -40,21 +37,11 @@ def walk(rng):
     return Survey(positions, field + noise, 0.05 * np.arange(len(x)), orientations)
 
 
-def test_jumps_are_single_readings_off_their_neighbours(walk):
-    readings = walk.field.copy()
-    readings[[50, 900, 901]] += [0, 20e-6, 0]
-    assert np.flatnonzero(find_jumps(readings, 10.0)).tolist() == [50, 900, 901]
-
-
 @pytest.mark.parametrize(("n", "is_jump"), [(1, True), (2, True), (5, False), (6, False)])
 def test_readings_that_bear_each_other_out_are_no_jump(walk, n, is_jump):
     readings = walk.field.copy()
     readings[500 : 500 + n] += 20e-6
     assert find_jumps(readings, 10.0)[500 + n // 2] == is_jump
-
-
-def test_a_clean_walk_has_no_jumps(walk):
-    assert not find_jumps(walk.field, 10.0).any()
 
 
 def test_repeats_are_found_in_the_frame_of_the_sensor(walk):
@@ -64,51 +51,10 @@ def test_repeats_are_found_in_the_frame_of_the_sensor(walk):
     assert np.flatnonzero(find_repeats(turned)).tolist() == [101, 102, 103]
 
 
-def test_saturation_is_many_readings_at_one_limit(walk):
-    clipped = np.clip(walk.field, None, 23e-6)
-    assert np.array_equal(find_saturation(clipped), clipped[:, 0] == 23e-6)
-    assert not find_saturation(walk.field).any()
-
-
-def test_coarse_steps_of_a_sensor_are_no_saturation(walk):
-    assert not find_saturation(np.round(walk.field / 0.15e-6) * 0.15e-6).any()
-
-
 def test_runs_are_given_by_their_ends():
     mask = np.array([0, 1, 1, 0, 1], dtype=bool)
     assert runs(mask, None) == [[1.0, 2.0], [4.0, 4.0]]
     assert runs(mask, np.array([0.0, 0.5, 1.0, 1.5, 2.0])) == [[0.5, 1.0], [2.0, 2.0]]
-
-
-@pytest.mark.parametrize("average", ["mean", "median"])
-def test_resampling_keeps_one_sample_per_step_of_the_way(walk, average):
-    few = resample_by_distance(walk, 0.1, average)
-    step = np.linalg.norm(np.diff(few.positions, axis=0), axis=1)
-    assert len(few) == pytest.approx(60, abs=3)
-    assert np.median(step) == pytest.approx(0.1, abs=0.02)
-    assert (np.diff(few.times) > 0).all()
-    assert len(few.orientations) == len(few)
-
-
-def test_standing_still_becomes_one_sample(walk):
-    few = resample_by_distance(walk, 0.1, "mean")
-    assert (np.abs(few.times - 60.0) < 9.0).sum() <= 2
-
-
-@SETTINGS
-@given(step=st.floats(0.01, 5.0))
-def test_resampling_by_the_mean_keeps_the_centroid(step):
-    rng = np.random.default_rng(3)
-    survey = Survey(
-        np.cumsum(rng.normal(0, 0.1, (80, 3)), axis=0), rng.normal(0, 1e-5, (80, 3)), np.arange(80.0),
-        Rotation.from_rotvec(0.1 * rng.normal(size=(80, 3))),
-    )  # fmt: skip
-    few = resample_by_distance(survey, step, "mean")
-    counts = np.bincount(steps_of(survey.positions, step))
-    assert len(counts) == len(few)
-    for name in ("positions", "field", "times"):
-        whole = getattr(survey, name).mean(axis=0)
-        np.testing.assert_allclose(np.average(getattr(few, name), axis=0, weights=counts), whole, atol=1e-12)
 
 
 def test_each_step_is_the_mean_or_the_median_of_its_own_samples(walk):
@@ -139,14 +85,6 @@ def test_readings_that_cancel_are_flagged_without_a_warning():
     check = earth_step(np.zeros((20, 3)), MUNICH)
     assert check.outcome == "flagged"
     assert "hard iron" in check.words
-
-
-def test_earth_field_is_that_of_the_model():
-    pytest.importorskip("ppigrf")
-    # The IGRF-13/14 calculators of the agencies give 48.6 uT and 64 deg for Munich in 2024.
-    east, north, up = earth_field(MUNICH)
-    assert np.linalg.norm([east, north, up]) == pytest.approx(48.7e-6, abs=0.3e-6)
-    assert np.degrees(np.arctan2(-up, np.hypot(east, north))) == pytest.approx(64.2, abs=0.5)
 
 
 def test_a_plausible_field_is_said_to_be_plausible():

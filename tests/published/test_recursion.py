@@ -15,7 +15,6 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.inducing.inducing_prior import InducingPrior
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 from magmatch.published.recursion import RecursiveField, recursively
-from oracles.dense import DenseGP
 
 laws = settings(deadline=None, max_examples=10)
 KERNEL = DivergenceFreeKernel(0.7, 12e-6)
@@ -57,51 +56,11 @@ def test_recursion_is_the_printed_one():
     np.testing.assert_allclose(state.sor_covariance(queries), printed, atol=1e-8 * KERNEL.signal_sd**2)
 
 
-@laws
-@given(st.integers(0, 1000), st.integers(1, 29))
-def test_order_and_blocks_of_samples_do_not_matter(seed, cut):
-    points, field = samples_of(seed)
-    start = RecursiveField.start(KERNEL, U, NOISE, constant_sd=1e-4)
-    order = np.random.default_rng(seed).permutation(30)
-    at_once = start.update(points, field)
-    in_two = start.update(points[order[:cut]], field[order[:cut]]).update(points[order[cut:]], field[order[cut:]])
-    np.testing.assert_allclose(in_two.inducing_mean, at_once.inducing_mean, atol=1e-8 * 12e-6)
-    np.testing.assert_allclose(in_two.white_covariance, at_once.white_covariance, atol=1e-8)
-
-
-def test_update_leaves_the_old_belief_alone():
-    start = RecursiveField.start(KERNEL, U, NOISE)
-    start.update(*samples_of(2))
-    assert not start.white_mean.any()
-    np.testing.assert_array_equal(start.white_covariance, np.eye(3 * len(U) + 3))
-
-
-def test_inducing_points_at_the_samples_give_the_exact_model():
-    points, field = samples_of(5)
-    exact = DenseGP.fit(KERNEL, points, field, NOISE, constant_sd=1e-4)
-    state = RecursiveField.start(KERNEL, points, NOISE, constant_sd=1e-4, jitter=1e-11).update(points, field)
-    queries = samples_of(6, 9)[0]
-    np.testing.assert_allclose(state.mean(queries).field, exact.mean(queries).field, atol=1e-6 * 1e-5)
-    prior_constant = 1e-8 * np.eye(3)
-    assert np.all(np.linalg.eigvalsh(prior_constant + KERNEL.at_one_point() - state.dtc_covariance(queries)) > 0)
-    np.testing.assert_allclose(state.dtc_covariance(queries), exact.covariance(queries), atol=1e-6 * 144e-12)
-
-
 def test_published_variance_vanishes_far_away_and_dtc_returns_to_the_prior():
     state = RecursiveField.start(KERNEL, U, NOISE).update(*samples_of(7))
     far = np.array([[30.0, 0.0, 0.0]])
     np.testing.assert_allclose(state.sor_covariance(far), 0, atol=1e-30)
     np.testing.assert_allclose(state.dtc_covariance(far)[0], KERNEL.at_one_point(), rtol=1e-12)
-
-
-def test_derivatives_are_finite_differences():
-    state = RecursiveField.start(KERNEL, U, NOISE).update(*samples_of(8))
-    queries, h = samples_of(9, 4)[0], 1e-5
-    for k, e in enumerate(np.eye(3)):
-        up, down = state.mean(queries + h * e, 1), state.mean(queries - h * e, 1)
-        exact = state.mean(queries, 2)
-        np.testing.assert_allclose(exact.gradient[..., k], (up.field - down.field) / (2 * h), atol=1e-11)
-        np.testing.assert_allclose(exact.second[..., k], (up.gradient - down.gradient) / (2 * h), atol=1e-11)
 
 
 def test_noise_must_be_positive():
@@ -147,11 +106,6 @@ def test_a_map_inferred_recursively_is_the_batch_form_with_zero_mean(batch):
     lacking = np.linalg.eigvalsh(batch.covariance(queries) - found.covariance(queries))
     assert lacking.min() > -1e-6 * 144e-12
     assert np.abs(found.covariance([[50.0, 0, 0]])).max() < 1e-30 < batch.covariance([[50.0, 0, 0]]).max()
-
-
-def test_draws_of_a_recursive_map_scatter_as_its_batch_form(batch):
-    found = recursively(batch).posterior
-    np.testing.assert_allclose(found.factor, batch.posterior.factor, atol=1e-6 * np.abs(batch.posterior.factor).max())
 
 
 def test_a_map_of_another_prior_cannot_be_inferred_recursively(batch):

@@ -51,9 +51,6 @@ class ExactPosterior:
         extra = 0.0 if weights is None else weights
         return FieldValues(values.field + extra, values.gradient)
 
-    def evaluate_on_grid(self, axes, order=0):
-        return self.evaluate(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), order)
-
     def covariance(self, points, order=0):
         size = 3 if order == 0 else 12
         return np.tile(1e-14 * np.eye(size), (len(points), 1, 1))

@@ -73,42 +73,6 @@ def test_cylinder_seen_from_afar_is_a_dipole(seed):
     assert (error < 5e-4 * np.linalg.norm(expected, axis=1).max()).all()
 
 
-def test_correction_to_the_dipole_falls_with_the_square_of_the_distance(rng):
-    box = Cuboid(np.zeros(3), np.array([0.1, 0.2, 0.3]), np.array([0.1, 0.2, 1.0]), Rotation.identity())
-    moment = box.polarization * box.size.prod() / MU0
-    u = directions(rng)
-    errors = []
-    for distance in (2.0, 4.0):
-        expected = dipole_formula(box.center, moment, distance * u)
-        errors.append(np.abs(field_of([box], distance * u) - expected).max() / np.abs(expected).max())
-    # 4 up to the next term, (diagonal / distance)^2.
-    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
-
-
-@SETTINGS
-@given(seeds)
-def test_field_outside_the_sources_has_no_divergence_and_no_curl(seed):
-    rng = np.random.default_rng(seed)
-    sources, h = some_sources(rng), 1e-3
-    points = 5 * directions(rng, 10)
-    steps = h * np.eye(3)
-    G = np.stack([(field_of(sources, points + s) - field_of(sources, points - s)) / (2 * h) for s in steps], axis=-1)
-    scale = np.abs(G).max()
-    # Central differences at 1e-3 m of a field that varies over metres.
-    assert np.abs(np.trace(G, axis1=1, axis2=2)).max() < 1e-5 * scale
-    assert np.abs(G - np.swapaxes(G, 1, 2)).max() < 1e-5 * scale
-
-
-@SETTINGS
-@given(seeds)
-def test_fields_of_sources_add(seed):
-    rng = np.random.default_rng(seed)
-    sources, points = some_sources(rng), rng.normal(size=(8, 3)) + 3
-    together = field_of(sources, points)
-    one_by_one = sum(field_of([source], points) for source in sources)
-    np.testing.assert_allclose(together, one_by_one, rtol=1e-12, atol=1e-12 * np.abs(together).max())
-
-
 @SETTINGS
 @given(seeds, st.floats(-10, 10))
 def test_field_is_proportional_to_strength(seed, factor):
@@ -126,11 +90,6 @@ def test_many_points_in_pieces_give_the_same_field(monkeypatch, rng):
     np.testing.assert_allclose(field_of(sources, points), whole, rtol=1e-12)
 
 
-@pytest.mark.parametrize("n", [0, 1, 2])
-def test_field_has_one_row_per_point(rng, n):
-    assert field_of(some_sources(rng), np.full((n, 3), 4.0)).shape == (n, 3)
-
-
 def test_inside_a_magnet_and_on_its_surface_the_field_is_finite_and_at_a_dipole_it_is_refused():
     at = np.array([[0.0, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0], [0.5, 0.5, 0.5]])
     J, unturned = np.array([0, 0, 1.0]), Rotation.identity()
@@ -138,10 +97,6 @@ def test_inside_a_magnet_and_on_its_surface_the_field_is_finite_and_at_a_dipole_
         assert np.isfinite(field_of([body], at)).all()
     with pytest.raises(ValueError, match="found point 0"):
         field_of([Dipole(np.zeros(3), J)], at)
-
-
-def test_without_sources_the_field_is_zero():
-    assert not field_of([], np.ones((4, 3))).any()
 
 
 def test_without_magpylib_the_extra_is_named(monkeypatch):

@@ -8,10 +8,8 @@ from hypothesis import strategies as st
 
 from magmatch.simulation.paths import (
     around_loop,
-    boustrophedon,
     circles,
     heading_along,
-    loop_length,
     resample,
     smooth_noise,
 )
@@ -22,24 +20,6 @@ SETTINGS = settings(deadline=None, max_examples=25)
 def test_resampling_a_line_keeps_both_ends_and_equal_steps():
     corners = np.array([[0.0, 0, 0], [0.3, 0, 0], [3, 0, 0]])
     np.testing.assert_allclose(resample(corners, 7)[:, 0], np.linspace(0, 3, 7), atol=1e-12)
-
-
-@pytest.mark.parametrize("along", [0, 1])
-def test_sweep_covers_the_rectangle_at_every_height(along):
-    low, high = np.array([-1.0, -0.75, 0]), np.array([1.0, 0.75, 0])
-    points = boustrophedon(low, high, (0.05, 0.1), 0.1, along, 8000)
-    for height in (0.05, 0.1):
-        level = points[np.abs(points[:, 2] - height) < 1e-9]
-        grid = np.stack(np.meshgrid(np.linspace(-1, 1, 21), np.linspace(-0.75, 0.75, 16)), -1).reshape(-1, 1, 2)
-        nearest = np.linalg.norm(grid - level[:, :2], axis=2).min(axis=1)
-        assert nearest.max() < 0.06
-
-
-@pytest.mark.parametrize("along", [0, 1])
-def test_sweep_runs_along_its_rows(along):
-    low, high = np.array([0.0, 0, 0]), np.array([2.0, 1.5, 0])
-    walked = np.abs(np.diff(boustrophedon(low, high, (0.05,), 0.1, along, 2000), axis=0)).sum(axis=0)
-    assert walked[along] > 10 * walked[1 - along]
 
 
 def test_circles_keep_radius_and_height_and_head_along_the_tangent():
@@ -62,15 +42,6 @@ def test_loop_has_no_jumps_and_heads_where_it_goes(start, radius):
     step = (after - before)[0] / h
     # A step of a micrometre, rounded at 1e-15 of twenty metres.
     np.testing.assert_allclose(step, [np.cos(heading[0]), np.sin(heading[0]), 0], atol=1e-5)
-
-
-def test_loop_closes():
-    size, radius = (20.0, 10.0), 1.0
-    length = loop_length(size, radius)
-    first, _ = around_loop(size, radius, np.array([0.0]))
-    last, _ = around_loop(size, radius, np.array([length - 1e-9]))
-    np.testing.assert_allclose(first, last, atol=1e-8)
-    assert length == pytest.approx(60 - 8 + 2 * np.pi)
 
 
 def test_loop_stays_on_the_rectangle():

@@ -18,7 +18,6 @@ from magmatch.simulation.simulate import simulate
 SETTINGS = settings(deadline=None, max_examples=10)
 SAME_PLACE = sorted(set(SCENARIOS) - {"nowhere"})
 ROOMS = ("office", "office-x30", "office-random", "office-overlap", "planar", "nowhere")
-PATHS = ("table", "table-robot", "corridor", "office-hand-held", "office-robot")
 
 
 def scene_of(scenario, seed=0, **settings_):
@@ -42,24 +41,6 @@ def test_target_field_turned_by_the_truth_is_the_base_field_there(scenario, seed
     np.testing.assert_allclose(turned, there, rtol=0, atol=relative * np.linalg.norm(there, axis=1).max())
 
 
-@pytest.mark.parametrize("scenario", SAME_PLACE)
-def test_base_survey_without_noise_is_the_true_field(scenario, exact):
-    pair, scene = simulate(scenario, 3, exact), build_scene(scenario, exact, Streams(3))
-    np.testing.assert_allclose(pair.base.field, scene.base_field(pair.base.positions), rtol=0, atol=1e-15)
-
-
-def test_elsewhere_the_fields_do_not_agree(exact):
-    pair, scene = simulate("nowhere", 0, exact), build_scene("nowhere", exact, Streams(0))
-    turned = rotate_vectors(pair.target.field, pair.T_base_target)
-    assert np.sqrt(((turned - scene.base_field(target_in_base(pair))) ** 2).sum(axis=1).mean()) > 10e-6
-
-
-@pytest.mark.parametrize("scenario", sorted(SCENARIOS))
-def test_there_is_something_to_find_unless_the_scenario_says_otherwise(scenario):
-    is_futile = scenario in {"nowhere", "uniform", "repeated"}
-    assert scene_of(scenario, n_samples=50).accept is not is_futile
-
-
 def test_earth_field_is_added_once(exact):
     pair = simulate("uniform", 0, exact)
     np.testing.assert_array_equal(pair.base.field, np.tile(exact.earth_field, (200, 1)))
@@ -67,10 +48,6 @@ def test_earth_field_is_added_once(exact):
     points = scene.base_path.positions
     anomaly = scene.base_field(points) - field_of(scene.base_sources, points)
     np.testing.assert_allclose(anomaly, np.tile(exact.earth_field, (200, 1)), atol=1e-18)
-
-
-def test_default_earth_field_is_that_of_the_middle_latitudes():
-    assert np.linalg.norm(SimulationConfig().earth_field) == pytest.approx(48e-6, rel=1e-3)
 
 
 @pytest.mark.parametrize("scenario", ROOMS)
@@ -101,46 +78,12 @@ def test_magnets_are_below_the_table_and_sensors_above(scenario):
         assert path.positions[:, 2].min() > 0.02
 
 
-@pytest.mark.parametrize("scenario", ["office", "office-random", "office-inside", "corridor"])
-@pytest.mark.parametrize("seed", range(3))
-def test_indoor_field_varies_as_measured_indoors(scenario, seed):
-    scene = scene_of(scenario, seed)
-    points = scene.base_path.positions[::5]
-    spread = np.sqrt(field_of(scene.base_sources, points).var(axis=0).sum())
-    assert 8e-6 < spread < 25e-6
-    h = 1e-4
-    rows = [
-        field_of(scene.base_sources, points + h * e) - field_of(scene.base_sources, points - h * e) for e in np.eye(3)
-    ]
-    gradient = np.linalg.norm(np.stack(rows, axis=-1) / (2 * h), axis=(1, 2))
-    assert 5e-6 < np.median(gradient) < 50e-6
-
-
 @pytest.mark.parametrize(
     ("scenario", "axis", "angle"), [("office", "z", 30), ("office-z30", "z", 30), ("office-x30", "x", -30)]
 )
 def test_published_office_is_turned_by_the_published_angle(scenario, axis, angle):
     truth = scene_of(scenario, seed=4).T_base_target.rotation
     assert (truth.inv() * Rotation.from_euler(axis, angle, degrees=True)).magnitude() < 1e-12
-
-
-def test_office_z30_is_the_office():
-    first, second = simulate("office", 3), simulate("office-z30", 3)
-    np.testing.assert_array_equal(first.target.field, second.target.field)
-
-
-def test_offices_of_one_seed_are_one_room():
-    points = np.zeros((1, 3))
-    fields = [
-        scene_of(name, seed=2, n_samples=20).base_field(points) for name in ("office", "office-x30", "office-random")
-    ]
-    np.testing.assert_allclose(fields, np.broadcast_to(fields[0], (3, 1, 3)), rtol=1e-12)
-
-
-@pytest.mark.parametrize("scenario", ["office-random", "office-overlap", "office-inside", "planar", "table-robot"])
-def test_any_frame_is_far_from_upright_for_some_seed(scenario):
-    tilts = [scene_of(scenario, seed, n_samples=20).T_base_target.rotation.as_matrix()[2, 2] for seed in range(6)]
-    assert min(tilts) < 0.5
 
 
 def test_table_target_is_framed_by_its_first_sensor_pose():
@@ -151,14 +94,6 @@ def test_table_target_is_framed_by_its_first_sensor_pose():
     assert (pair.T_base_target.rotation.inv() * expected).magnitude() < 1e-12
     first_pose = scene_of("table", 2).target_path.positions[0]
     np.testing.assert_allclose(pair.T_base_target.translation, first_pose, atol=1e-12)
-
-
-def test_table_is_swept_along_it_and_across_it():
-    scene = scene_of("table")
-    base, target = (np.abs(np.diff(p.positions, axis=0)).sum(axis=0) for p in (scene.base_path, scene.target_path))
-    assert base[0] > 3 * base[1]
-    assert target[1] > 3 * target[0]
-    assert np.ptp(scene.base_path.positions[:, 2]) > 0.08
 
 
 def test_robot_drives_at_fixed_height_looking_ahead():
@@ -190,26 +125,12 @@ def test_corridor_frames_are_upright_unless_asked_otherwise():
     assert min(tilted) < 0.9
 
 
-@pytest.mark.parametrize("scenario", PATHS)
-def test_first_pose_can_frame_every_path(scenario):
-    pair = simulate(scenario, 1, SimulationConfig(target_frame="first_pose", pose_drift=0.0, n_samples=300))
-    np.testing.assert_allclose(pair.target.positions[0], 0, atol=1e-12)
-    assert pair.target.orientations[0].magnitude() < 1e-12
-
-
 @pytest.mark.parametrize("overlap", [0.125, 0.5, 1.0])
 def test_overlap_is_the_fraction_of_the_target_that_the_base_covers(overlap):
     scene = scene_of("office-overlap", overlap=overlap, n_samples=4000)
     low, high = scene.base_path.positions.min(axis=0), scene.base_path.positions.max(axis=0)
     is_covered = ((scene.target_path.positions >= low) & (scene.target_path.positions <= high)).all(axis=1)
     assert is_covered.mean() == pytest.approx(overlap, abs=0.03)  # four standard errors
-
-
-def test_surveys_of_the_planes_lie_apart():
-    scene = scene_of("planar")
-    assert np.ptp(scene.base_path.positions[:, 2]) <= 0.02
-    gap = scene.target_path.positions[:, 2].min() - scene.base_path.positions[:, 2].max()
-    assert gap == pytest.approx(0.08, abs=1e-3)
 
 
 def test_repeated_rooms_cannot_be_told_apart():

@@ -114,7 +114,7 @@ def infer(field_map: FieldMap, config: FeatureConfig | None = None) -> Inferred:
     is_known = field_map.knows(positions)
     cells, positions = cells[is_known], positions[is_known]
     tell(f"asking the map at {len(cells)} points, {spacing:.3g} m apart")
-    return Inferred(field_map, grid, cells, positions, _evaluate(field_map, grid, cells, positions))
+    return Inferred(field_map, grid, cells, positions, field_map.evaluate(positions, 2))
 
 
 def grid_spacing(field_map: FieldMap, config: FeatureConfig) -> float:
@@ -129,17 +129,6 @@ def grid_spacing(field_map: FieldMap, config: FeatureConfig) -> float:
             raise ConfigurationError(msg)
         spacing *= float(max((n_points / config.max_points) ** (1 / 3), 1.02))
     return spacing
-
-
-def _evaluate(field_map: FieldMap, grid: RegularGrid, cells: Indices, positions: Points) -> FieldValues:
-    """Field and its first two derivatives at X*, through the grid's separability where it serves."""
-    is_parallel = (field_map.T_map_model.inv() * grid.T_map_grid).rotation.magnitude() < 1e-12
-    if not is_parallel or len(cells) < grid.n_points / 2:
-        return field_map.evaluate(positions, 2)
-    values = field_map.on_grid(grid, 2, with_variance=False).values
-    assert values.gradient is not None
-    assert values.second is not None
-    return FieldValues(values.field[cells], values.gradient[cells], values.second[cells])
 
 
 def cells_in_use(field_map: FieldMap, spacing: float, config: FeatureConfig) -> tuple[RegularGrid, Indices]:

@@ -12,10 +12,9 @@ from magmatch.atomic import atomic_write
 from magmatch.data.points import write_ply, write_vtk_grid
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, import_extra
-from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.values import FieldValues
+from magmatch.field.excess import FittedField
 from magmatch.grid import RegularGrid, spanned_points
-from magmatch.typing import Mask, Points, Scalars
+from magmatch.typing import Points, Scalars
 
 # Points evaluated at a time; bounds the memory whatever the number of points.
 CHUNK = 20_000
@@ -23,25 +22,15 @@ CHUNK = 20_000
 DEFAULT_POINTS, MAX_POINTS = 100_000, 20_000_000
 
 
-class Mapped(Protocol):
-    """The quantities that a map is asked for."""
+class Mapped(FittedField, Protocol):
+    """A map, as far as a grid asks it."""
 
     @property
     def survey(self) -> Survey:
         """Samples."""
 
-    @property
-    def hyperparameters(self) -> Hyperparameters:
-        """Numbers of the prior."""
-
-    def evaluate(self, points: Points) -> FieldValues:
-        """Field at points."""
-
     def covariance(self, points: Points) -> np.ndarray:
         """Covariance of the field at points."""
-
-    def knows(self, points: Points) -> Mask:
-        """Whether there are data near."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -4,18 +4,36 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
-from magmatch.arguments import expect_kind
+from magmatch.arguments import expect_kind, found
+from magmatch.data.checks import require_one_frame, require_part, require_survey
 from magmatch.data.survey import Survey, subsets
+from magmatch.errors import SurveyError
 from magmatch.field.choose_and_fit import choose_and_fit, choose_biases
 from magmatch.field.config import FieldConfig
 from magmatch.field.excess import warn_of_excess
-from magmatch.field.given_surveys import surveys_of
 from magmatch.field.map import FieldMap
 from magmatch.field.selection.outliers import find_outliers, hardly_moved
 from magmatch.progress import Progress, followed
 from magmatch.runner import Workers
 from magmatch.threads import single_threaded
+
+
+def surveys_of(given: Survey | Sequence[Survey]) -> tuple[Survey, ...]:
+    """Checked: each part and all together can be a survey."""
+    if not isinstance(given, list | tuple):
+        require_survey(given)
+        return (cast("Survey", given),)
+    if not given:
+        msg = f"survey: expected a Survey or several, got {found(given)} without any; read_survey reads one"
+        raise SurveyError(msg)
+    for part in given:
+        require_part(part)
+    require_one_frame(given)
+    require_survey(given[0].merged(*given[1:]))
+    return tuple(given)
+
 
 log = logging.getLogger(__name__)
 

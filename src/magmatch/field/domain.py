@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, FieldPosterior, Index, Piece
+from magmatch.field.linear_model import FieldPosterior, Index, Piece
 from magmatch.field.values import FieldValues
 from magmatch.geometry import transform_points
 from magmatch.grid import spanned_points
@@ -79,13 +79,6 @@ class BoundedPosterior:
     def evaluate(self, points: Points, order: int = 0, weights: Any | None = None) -> FieldValues:
         """See `FieldPosterior.evaluate`."""
         return self.inner.evaluate(self._or_nowhere(points), order, weights)
-
-    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """See `FieldPosterior.evaluate_on_grid`; point by point where the grid leaves the box."""
-        points = spanned_points(axes)
-        if self.box.contains(points).all():
-            return self.inner.evaluate_on_grid(axes, order)
-        return self.evaluate(points, order)
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """See `FieldPosterior.covariance`."""

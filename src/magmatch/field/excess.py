@@ -9,7 +9,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.values import FieldValues
+from magmatch.field.values import FieldFunction
 from magmatch.typing import Mask, Points
 
 log = logging.getLogger(__name__)
@@ -24,15 +24,12 @@ _N_ASKED, _BESIDE = 200, 0.5
 _DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
 
 
-class FittedField(Protocol):
+class FittedField(FieldFunction, Protocol):
     """A map, or a posterior."""
 
     @property
     def hyperparameters(self) -> Hyperparameters:
         """Numbers that shape the prior."""
-
-    def evaluate(self, points: Points, order: int = 0) -> FieldValues:
-        """Posterior mean of the field."""
 
     def knows(self, points: Points) -> Mask:
         """Tell where the field counts as known."""

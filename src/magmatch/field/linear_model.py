@@ -18,7 +18,6 @@ from magmatch.field.values import FieldValues
 from magmatch.runner import Workers
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
-Axes = tuple[Scalars, Scalars, Scalars]
 # Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
 Index = tuple[int, int, int]
 
@@ -89,9 +88,6 @@ class FieldPosterior(Protocol):
 
         Weights are an array such as `weights`, or one of `draw_weights`.
         """
-
-    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """Evaluate on the grid spanned by three ascending axes (C order), through separability."""
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Marginal posterior covariance at each point, returning to the prior far from data.

@@ -175,7 +175,7 @@ class FieldMap:
         Parameters
         ----------
         grid : RegularGrid
-            Where to evaluate; fastest when its axes are parallel to the model's (see `grid_over`).
+            Where to evaluate, such as `grid_over` gives.
         order : int
             Highest derivative.
         with_variance : bool
@@ -183,14 +183,8 @@ class FieldMap:
         """
         expect_kind(grid, "grid", (RegularGrid,), "grid_over(spacing) makes one")
         whole_number_of(order, "order", 0, 2)
-        T_model_grid = self.T_map_model.inv() * grid.T_map_grid
-        p_model = transform_points(grid.local_points(), T_model_grid)
-        if T_model_grid.rotation.magnitude() < 1e-12:
-            x0, y0, z0 = T_model_grid.translation
-            x, y, z = grid.axes
-            values = self.posterior.evaluate_on_grid((x + x0, y + y0, z + z0), order)
-        else:
-            values = self.posterior.evaluate(p_model, order)
+        p_model = transform_points(grid.local_points(), self.T_map_model.inv() * grid.T_map_grid)
+        values = self.posterior.evaluate(p_model, order)
         variance = np.full(grid.n_points, np.nan)
         if with_variance:
             variance = np.trace(self.posterior.covariance(p_model), axis1=1, axis2=2) / 3

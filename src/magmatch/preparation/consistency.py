@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from magmatch.field.cholesky.cells import count_active_cells
-from magmatch.field.cholesky.factors import Factors
-from magmatch.field.cholesky.multifrontal import factorise
+from magmatch.field.cholesky.multifrontal import Factors, factorise
 from magmatch.field.folds import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline.spline_basis import FIRST
-from magmatch.field.spline.spline_kernels import add_right_hand_sides
+from magmatch.field.spline.spline_kernels import right_hand_sides
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 from magmatch.field.tiles.region_model import MOST_OPERATIONS
 from magmatch.typing import Points, Scalars, Tensors, Vectors
@@ -76,12 +74,8 @@ class MapConsistency:
         return np.asarray(self._explained(field[None], order=1)[1][0])
 
     def _explained(self, columns: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-        m, (cell, t) = self._model.cells.n_nodes, self._model.cells.locate(self.points)
-        weighted = np.ascontiguousarray(np.moveaxis(columns * self.weights[:, None], 0, 2))
-        eta = np.zeros((m + 3, len(columns)))
-        add_right_hand_sides(cell, t, weighted, self._model.cells.cell_nodes, FIRST, eta[:m])
-        eta[m:] = weighted.sum(axis=0)
-        solved = self._factor.solve(eta)
+        weighted = np.moveaxis(columns * self.weights[:, None], 0, 2)
+        solved = self._factor.solve(right_hand_sides(self._model.cells, self.points, weighted))
         values, gradients = [], []
         for w in solved.T:
             posterior = SplinePosterior(

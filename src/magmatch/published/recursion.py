@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import blas, cho_factor, cho_solve, cholesky, solve_triangular
 
 from magmatch.errors import ConfigurationError
-from magmatch.field.inducing.gaussian_grid import GaussianGrid, chunks
+from magmatch.field.inducing.gaussian_grid import GaussianGrid, chunks, rows_as_values
 from magmatch.field.inducing.inducing_model import InducingPosterior, dense_prior, gram_factor
 from magmatch.field.inducing.inducing_prior import JITTER
 from magmatch.field.inducing.kernels import N_ROWS, DivergenceFreeKernel, Kernel
@@ -102,13 +102,8 @@ class RecursiveField:
 
     def mean(self, points: Points, order: int = 0) -> FieldValues:
         """Posterior mean of field and derivatives up to an order of 0, 1 or 2."""
-        n = len(points)
-        rows = (self._features(points, order) @ self.white_mean).reshape(N_ROWS[order], n)
-        return FieldValues(
-            np.ascontiguousarray(rows[:3].T),
-            np.ascontiguousarray(rows[3:12].T).reshape(n, 3, 3) if order >= 1 else None,
-            np.ascontiguousarray(rows[12:].T).reshape(n, 3, 3, 3) if order >= 2 else None,
-        )
+        rows = self._features(points, order) @ self.white_mean
+        return rows_as_values(rows.reshape(N_ROWS[order], len(points)), order)
 
     def sor_covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Covariance (T^2) as published (subset of regressors): falls to 0 far from the inducing points."""

@@ -14,7 +14,6 @@ from magmatch.field.cholesky.blas import (
     TRANSPOSED,
     address_of,
     gemm,
-    gesv,
     lacpy,
     lauum,
     potrf,
@@ -68,28 +67,3 @@ def test_compiled_routines_equal_numpy(n, k, precision):
     np.testing.assert_allclose(V, -Z @ W, **close)
     np.testing.assert_allclose(np.tril(Q), np.tril(np.linalg.inv(A)), **close)
     np.testing.assert_allclose(G, -W.T @ Z @ W, **close)
-
-
-@njit
-def factor(A, info):
-    potrf(False, LOWER, np.int32(len(A)), A, np.int32(len(A)), info)
-
-
-def test_a_failing_pivot_is_named():
-    info = np.zeros(1, np.int32)
-    factor(np.asfortranarray(np.diag([1.0, 2.0, -1.0, 1.0])), info)
-    assert info[0] == 3
-
-
-@njit
-def solve(A, x, pivots, info):
-    n = np.int32(len(A))
-    gesv(False, n, np.int32(1), A, n, pivots, x, n, info)
-
-
-def test_solutions_equal_numpys():
-    rng = np.random.default_rng(0)
-    A, x = rng.normal(size=(6, 6)), rng.normal(size=6)
-    expected = np.linalg.solve(A, x)
-    solve(np.asfortranarray(A), x, np.zeros(6, np.int32), np.zeros(1, np.int32))
-    np.testing.assert_allclose(x, expected, atol=1e-12)

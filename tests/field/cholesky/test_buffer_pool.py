@@ -5,31 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Thread
 
 import numpy as np
-import pytest
 
 from magmatch.field.cholesky.buffer_pool import BufferPool
-
-
-def test_a_buffer_serves_again_once_the_last_view_of_it_is_gone():
-    reserve = BufferPool()
-    matrix = reserve.take(100, 200)
-    place, corner = matrix.ctypes.data, matrix[:3, :3].T
-    del matrix
-    assert reserve.n_idle_bytes == 0
-    assert reserve.take(100, 200).ctypes.data != place
-    del corner
-    assert reserve.n_idle_bytes > 0
-    assert place in {m.ctypes.data for m in (reserve.take(100, 200), reserve.take(90, 210))}
-
-
-@pytest.mark.parametrize("precision", [np.float64, np.float32])
-@pytest.mark.parametrize("shape", [(0, 0), (0, 5), (1, 1), (300, 7), (1024, 128)])
-def test_matrices_have_their_shape_and_order(shape, precision):
-    matrix = BufferPool().take(*shape, precision)
-    assert matrix.shape == shape
-    assert matrix.dtype == precision
-    assert matrix.flags.f_contiguous
-    assert matrix.flags.writeable
 
 
 def test_matrices_in_use_never_share_memory():

@@ -68,12 +68,6 @@ def test_points_are_located_in_their_cell(seed):
     assert cell.tolist() == [number.get(tuple(p), -1) for p in np.floor(u).astype(int).tolist()]
     np.testing.assert_allclose(t[cell >= 0], (u - np.floor(u))[cell >= 0], atol=1e-9)
     assert 0 < (cell >= 0).sum() < 300
-    for axis in range(3):
-        index, along = cells.axis_cells(points[:, axis], axis)
-        exact = np.floor(u[:, axis]).astype(int) - cells.first[axis]
-        np.testing.assert_array_equal(index, np.clip(exact, -1, cells.cell_index.shape[axis]))
-        inside = index == exact
-        np.testing.assert_allclose(along[inside], (u - np.floor(u))[inside, axis], atol=1e-9)
 
 
 def test_a_box_leaves_the_cells_within_it():

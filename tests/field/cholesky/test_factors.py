@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from magmatch.field.cholesky.factors import Factors
+from magmatch.field.cholesky.multifrontal import Factors
 
 
 class Factor:

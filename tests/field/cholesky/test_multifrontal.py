@@ -15,14 +15,14 @@ from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline.element_matrices import (
-    divergence_matrix,
+from magmatch.field.spline.spline_model import SplineModel
+from magmatch.field.spline.spline_prior import (
+    CONSTANT_SD,
     lone_cell_covariance,
+    outside_covariance,
     prior_element,
     smoothness_matrix,
 )
-from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.spline.spline_prior import CONSTANT_SD, outside_covariance
 from magmatch.threads import on_one_core
 from oracles.dense_matrix import to_dense
 
@@ -64,14 +64,6 @@ def test_what_a_front_leaves_serves_others_once_its_parent_has_used_it(monkeypat
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_half_solve_has_the_inverse_as_its_covariance(shape):
-    model, A, _ = system(shape)
-    root = factorise(model.elimination, A).solve_half(np.eye(len(model.elimination.unknown)))
-    inverse = np.linalg.inv(to_dense(A, model.cells))
-    np.testing.assert_allclose(root @ root.T, inverse, atol=1e-9 * np.abs(inverse).max())
-
-
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_selected_inverse_equals_the_dense_inverse_in_every_cell(shape):
     model, A, _ = system(shape)
     inverse = np.linalg.inv(to_dense(A, model.cells))
@@ -87,15 +79,6 @@ def test_product_with_a_vector_equals_the_dense_one():
     x = np.random.default_rng(0).normal(size=len(information.eta))
     dense = to_dense(A, model.cells)
     np.testing.assert_allclose(A.times(x, model.cells), dense @ x, atol=1e-12 * np.abs(dense).max())
-
-
-def test_memory_that_is_used_again_gives_the_same_factor():
-    model, A, information = system(SHAPES["volume"])
-    expected = factorise(model.elimination, A).solve(information.eta)
-    # Dropped at once, so that the next factor lies where it lay.
-    factorise(model.elimination, A + A)
-    again = factorise(model.elimination, A)
-    assert np.array_equal(again.solve(information.eta), expected)
 
 
 def test_single_precision_gives_nearly_the_same_factor():
@@ -134,14 +117,6 @@ def test_indefinite_matrix_is_refused_with_the_pivot():
         factorise(model.elimination, broken)
 
 
-def test_sum_of_two_matrices_adds_their_dense_forms():
-    model, A, information = system((0.6, 0.4, 0.1))
-    cells = model.cells
-    np.testing.assert_allclose(
-        to_dense(A - information.gram, cells), to_dense(A, cells) - to_dense(information.gram, cells), atol=1e-9
-    )
-
-
 @pytest.mark.parametrize("k", [0, 1, 2, 3])
 def test_smoothness_is_the_integral_of_squared_derivatives_of_monomials(k):
     """Node values of ``x^k / k!`` sampled by B-splines reproduce it, and |grad^k x^k / k!|^2 = 1."""
@@ -149,13 +124,6 @@ def test_smoothness_is_the_integral_of_squared_derivatives_of_monomials(k):
     along = {0: np.ones(4), 1: i, 2: i**2 - 1 / 3, 3: i**3 - i}[k] / [1, 1, 2, 6][k]
     w = np.einsum("a,b,c->abc", along, np.ones(4), np.ones(4)).ravel()
     assert w @ smoothness_matrix(k) @ w == pytest.approx(1.0, rel=1e-10)
-
-
-def test_harmonic_potential_has_no_divergence_energy():
-    i = np.arange(-1.0, 3.0)
-    square, one = i**2 - 1 / 3, np.ones(4)
-    w = np.einsum("a,b,c->abc", square, one, one) - np.einsum("a,b,c->abc", one, one, square)
-    assert w.ravel() @ divergence_matrix() @ w.ravel() == pytest.approx(0.0, abs=1e-10)
 
 
 @given(a=st.floats(0.2, 12.0), divergence_weight=st.floats(0.0, 1e4))
@@ -191,9 +159,3 @@ def test_region_too_large_for_its_spacing_is_refused_in_one_line():
 def test_impossible_cells_are_refused(x, message):
     with pytest.raises(ValueError, match=message):
         lay_cells(x, 0.1 if len(x) == 0 else -1.0, 1.0)
-
-
-def test_points_fall_in_active_cells_exactly_within_reach():
-    cells = lay_cells(np.zeros((1, 3)), 1.0, 2.0)
-    inside, _ = cells.locate(np.array([[0.0, 0, 0], [2.4, 0, 0], [2.6, 0, 0], [np.nan, 0, 0], [2.0, 2.0, 0]]))
-    assert (inside >= 0).tolist() == [True, True, False, False, False]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.inducing.kernels import DivergenceFreeKernel, hermite_functions
+from magmatch.field.inducing.kernels import DivergenceFreeKernel
 
 laws = settings(deadline=None, max_examples=20)
 seeds = st.integers(0, 10_000)
@@ -34,48 +34,6 @@ def test_kernel_is_the_printed_formula(seed, length):
     K, sf = blocks(kernel, x, y), 17e-6 * length / np.sqrt(2)
     for i, j in np.ndindex(4, 5):
         np.testing.assert_allclose(K[:, i, :, j], printed(x[i] - y[j], sf, length), rtol=1e-9, atol=1e-24)
-
-
-def test_kernel_is_the_operator_on_the_squared_exponential():
-    length, sf, h = 0.8, 1.3, 1e-3
-    d0 = np.array([0.3, -0.5, 0.2])
-
-    def se(d):
-        return np.exp(-(d @ d) / (2 * length**2))
-
-    hessian = np.array(
-        [
-            [
-                (se(d0 + h * (a + b)) - se(d0 + h * (a - b)) - se(d0 - h * (a - b)) + se(d0 - h * (a + b)))
-                / (4 * h**2)
-                for b in EYE
-            ]
-            for a in EYE
-        ]
-    )
-    kernel = DivergenceFreeKernel(length, sf * np.sqrt(2) / length)
-    K = blocks(kernel, d0[None], np.zeros((1, 3)))[:, 0, :, 0]
-    # The error of second differences with this step is about 1e-6.
-    np.testing.assert_allclose(K, sf**2 * (hessian - np.trace(hessian) * EYE), atol=1e-5)
-
-
-@laws
-@given(seeds, lengthscales)
-def test_kernel_is_symmetric_and_positive_semidefinite(seed, length):
-    x = np.random.default_rng(seed).uniform(-2, 2, size=(12, 3))
-    K = DivergenceFreeKernel(length, 1.0).covariance(x, x)
-    np.testing.assert_allclose(K, K.T, atol=1e-14)
-    assert np.linalg.eigvalsh(K)[0] > -1e-12
-
-
-@laws
-@given(seeds, lengthscales)
-def test_every_column_has_zero_divergence(seed, length):
-    rng = np.random.default_rng(seed)
-    x, y = rng.normal(size=(6, 3)) * length, rng.normal(size=(5, 3)) * length
-    gradient = blocks(DivergenceFreeKernel(length, 1.0), x, y, 1)[3:].reshape(3, 3, 6, 3, 5)
-    divergence = np.trace(gradient, axis1=0, axis2=1)
-    np.testing.assert_allclose(divergence, 0, atol=1e-13 / length)
 
 
 @laws
@@ -108,13 +66,6 @@ def test_prior_of_field_and_gradient_is_that_of_finite_differences():
     # Central differences err by (h / l)^2.
     np.testing.assert_allclose(kernel.at_one_point(1), differences, atol=1e-4)
     np.testing.assert_allclose(kernel.at_one_point(0), 4.0 * EYE, rtol=1e-14)
-
-
-def test_hermite_functions_are_derivatives_of_each_other():
-    t, h = np.linspace(-4, 4, 41), 1e-5
-    exact = hermite_functions(t, 5)
-    differences = (hermite_functions(t + h, 5) - hermite_functions(t - h, 5)) / (2 * h)
-    np.testing.assert_allclose(exact[1:], differences[:-1], atol=1e-8)
 
 
 @pytest.mark.parametrize(("length", "sd"), [(0.0, 1.0), (-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (np.inf, 1.0)])

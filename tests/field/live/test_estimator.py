@@ -54,17 +54,6 @@ def at_once():
     return fed(*walk())
 
 
-def test_one_by_one_is_in_batch_to_the_bit(at_once):
-    estimator = FieldEstimator(H)
-    for x, b in zip(*walk(), strict=True):
-        estimator.update(x, b)
-    one, other = estimator.predict(queries(), 2), at_once.predict(queries(), 2)
-    assert len(estimator) == len(at_once) == 900
-    for name in ("field", "gradient", "second"):
-        assert np.array_equal(getattr(one.values, name), getattr(other.values, name))
-    assert np.array_equal(one.covariance, other.covariance)
-
-
 @laws
 @given(seed=st.integers(0, 1000), n_parts=st.integers(1, 40), asked=st.booleans())
 def test_order_and_chunks_of_samples_do_not_matter(at_once, seed, n_parts, asked):
@@ -96,19 +85,6 @@ def test_a_place_smaller_than_a_block_is_one_spline_model():
     np.testing.assert_allclose(live.covariance, exact, rtol=0, atol=1e-8 * exact.max())
 
 
-def test_cells_that_overflow_lose_nothing():
-    rng = np.random.default_rng(4)
-    x = 0.05 * rng.uniform(-1, 1, (5 * KEPT_PER_CELL, 3))
-    b = field_at(x) + 5e-7 * rng.normal(size=x.shape)
-    model = SplineModel.over(x, H)
-    exact = model.infer(model.observe(x, b))
-    estimator = fed(x, b)
-    assert len(estimator._tiles.kept) == KEPT_PER_CELL
-    field = exact.evaluate(x[:9]).field
-    np.testing.assert_allclose(estimator.predict(x[:9]).field, field, rtol=0, atol=1e-9 * np.abs(field).max())
-    np.testing.assert_allclose(estimator.predict(x[:9]).covariance, exact.covariance(x[:9]), rtol=1e-7)
-
-
 def test_a_walk_is_recovered_and_its_spread_is_honest(at_once):
     q = queries(100)
     found = at_once.predict(q, 1)
@@ -116,18 +92,6 @@ def test_a_walk_is_recovered_and_its_spread_is_honest(at_once):
     assert np.sqrt((error**2).sum(axis=1).mean()) < 2e-6
     assert np.mean(np.abs(error) < 1.96 * np.sqrt(found.variance)) > 0.9
     assert found.is_known.all()
-
-
-def test_blended_gradient_is_that_of_the_blended_field(at_once):
-    q, e = queries(40), 1e-6
-    values = at_once.predict(q, 2).values
-    for axis in range(3):
-        step = e * np.eye(3)[axis]
-        up, down = (at_once.predict(q + sign * step, 1).values for sign in (1, -1))
-        by_difference = (up.field - down.field) / (2 * e)
-        np.testing.assert_allclose(
-            values.gradient[..., axis], by_difference, atol=1e-5 * np.abs(values.gradient).max()
-        )
 
 
 def test_the_domain_grows_with_the_walk_and_memory_with_the_cells():
@@ -191,13 +155,6 @@ def test_predictions_are_at_most_as_old_as_asked_for():
     assert changes[3] < 0.5 * changes[1]
 
 
-def test_blocks_that_nothing_changed_are_not_fitted_again(at_once):
-    at_once.predict(queries(3))
-    before = at_once._tiles.n_fits
-    at_once.predict(queries(3))
-    assert at_once._tiles.n_fits == before
-
-
 @pytest.mark.parametrize("n", [300, 900])
 def test_a_resumed_estimate_predicts_the_same_bits(tmp_path, n):
     x, b = walk()
@@ -214,14 +171,6 @@ def test_a_resumed_estimate_predicts_the_same_bits(tmp_path, n):
     again.save(tmp_path / "b.live")
     estimator.save(tmp_path / "c.live")
     assert (tmp_path / "b.live").read_bytes() == (tmp_path / "c.live").read_bytes()
-
-
-def test_an_estimate_without_samples_or_numbers_can_be_saved(tmp_path):
-    for h in (None, H):
-        FieldEstimator(h).save(tmp_path / "a.live")
-        again = FieldEstimator.load(tmp_path / "a.live")
-        assert len(again) == 0
-        assert again.hyperparameters == h
 
 
 def test_hyperparameters_are_chosen_from_the_first_samples_and_kept(tmp_path):
@@ -303,18 +252,6 @@ def test_bad_samples_are_refused_and_change_nothing(name):
     assert np.array_equal(estimator.predict(queries()).field, clean.predict(queries()).field)
 
 
-def test_a_batch_with_one_bad_sample_is_refused_whole():
-    x, b = walk(300)
-    b[200, 1] = np.nan
-    estimator = FieldEstimator(H)
-    with pytest.raises(SurveyError, match="sample 200"):
-        estimator.update(x, b)
-    assert len(estimator) == 0
-    estimator.update(np.zeros((0, 3)), np.zeros((0, 3)))
-    with pytest.raises(SurveyError, match="got 0"):
-        estimator.predict(queries())
-
-
 def test_variance_is_left_out_where_it_is_not_wanted(at_once):
     without = at_once.predict(queries(), 1, with_variance=False)
     assert np.isnan(without.covariance).all()
@@ -361,9 +298,3 @@ def test_crafted_checkpoints_are_one_clear_error(checkpoint, tmp_path, name):
     assert "\n" not in str(caught.value)
     with pytest.raises(DataFormatError):
         FieldMap.load(checkpoint)
-
-
-def test_saving_leaves_the_old_checkpoint_where_it_cannot_write(checkpoint, tmp_path):
-    with pytest.raises(DataFormatError, match="does not exist"):
-        FieldEstimator(H).save(tmp_path / "nowhere" / "a.live")
-    assert replace(H) == FieldEstimator.load(checkpoint).hyperparameters

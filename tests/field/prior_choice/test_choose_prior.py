@@ -58,16 +58,6 @@ def test_without_a_source_in_the_region_the_harmonic_prior_is_better_and_remembe
     np.testing.assert_array_equal(again.evaluate(at).field, built.evaluate(at).field)
 
 
-def test_with_magnets_among_the_samples_the_harmonic_prior_loses(monkeypatch):
-    monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})
-    # The box is declared: else the charges may stand in the holes that the magnets leave among the samples.
-    box = (0.0, 0.0, 0.0, *BOX)
-    built = build_map(Survey(*room(inside=True, n=400)), FieldConfig(prior="auto", domain=box))
-    errors = built.config.comparison
-    assert built.config.prior != "harmonic"
-    assert errors["harmonic"] > 1.2 * errors["spline"]
-
-
 def test_too_few_samples_to_compare_take_the_spline():
     points, field = room(inside=False, n=30)
     built = build_map(Survey(points, field), FieldConfig(prior="auto"))

@@ -3,15 +3,10 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.survey import Survey
-from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
-from magmatch.field.equivalent_sources.charges import charge_design, charge_field
-from magmatch.field.equivalent_sources.shell import lay_shell
+from magmatch.field.equivalent_sources.shell import charge_design, charge_field, lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.priors.harmonic import SPACING_RATIO, HarmonicPrior
@@ -144,28 +139,3 @@ def test_numbers_are_deterministic_and_follow_the_units():
         [10 * h.lengthscale, 1e3 * h.signal_sd, 1e3 * h.noise_sd, h.inflation],
         rtol=1e-6,
     )
-
-
-def test_a_map_over_a_declared_box_is_saved_and_loaded(tmp_path):
-    built = build_map(Survey(*room(200)), FieldConfig(prior="harmonic", domain=(-0.3, -0.3, -0.2, 2.3, 1.8, 1.0)))
-    built.save(tmp_path / "map")
-    again = type(built).load(tmp_path / "map")
-    at = np.array([[1.0, 0.7, 0.4], [-0.25, 0.7, 0.9], [2.5, 0.7, 0.4]])
-    np.testing.assert_array_equal(again.evaluate(at, 1).gradient, built.evaluate(at, 1).gradient)
-    np.testing.assert_array_equal(again.covariance(at), built.covariance(at))
-    spread = np.sqrt(np.trace(built.covariance(at), axis1=1, axis2=2))
-    assert spread[0] < 0.3 * spread[2]
-
-
-def test_charges_stand_all_around_the_region_and_no_closer_than_they_may():
-    points, _ = room()
-    distance, spacing = 0.4, 0.2
-    shell = lay_shell(points, distance, spacing, 5000)
-    rng = np.random.default_rng(0)
-    out = rng.uniform(-0.6, BOX + 0.6, (200_000, 3))
-    at = out[np.abs(cKDTree(points).query(out)[0] - distance) < 0.01]
-    assert len(at) > 2000
-    apart = cKDTree(shell.sources).query(at)[0]
-    assert apart.max() < 1.3 * spacing
-    assert cKDTree(shell.sources).query(shell.sources, k=2)[0][:, 1].min() >= 0.8 * shell.spacing * (1 - 1e-9)
-    assert shell.spacing == pytest.approx(spacing)

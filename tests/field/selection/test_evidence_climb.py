@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.evidence_climb import climb, is_allowed, settle
-from magmatch.field.selection.noise_slopes import NoiseSlopes
+from magmatch.field.selection.spline_evidence import NoiseSlopes
 
 START = Hyperparameters(0.5, 3e-6, 0.1e-6, 0.2, divergence_weight=300.0)
 
@@ -88,26 +88,6 @@ def test_noise_is_found_where_its_slope_says_little_of_how_far_it_is(away):
     assert len(cliff.asked) <= 6
 
 
-def test_a_noise_that_was_found_already_is_kept():
-    hill = Hill(replace(START, noise_sd=1.3 * START.noise_sd))
-    found = climb(hill, START)
-    n = len(hill.asked)
-    assert settle(hill, found, lambda _: None) is found
-    assert len(hill.asked) == n
-
-
-def test_finer_splines_are_taken_while_the_evidence_grows():
-    class Finer(Hill):
-        def log_evidence(self, h):
-            return super().log_evidence(h) - 500 * np.log(h.spacing / 0.1) ** 2
-
-        log_evidence_of_noise = log_evidence
-
-    top = settle(Finer(START), START, lambda h: replace(h, spacing=h.spacing / 1.4))
-    assert top.hyperparameters.spacing == pytest.approx(0.2 / 1.4**2)
-    assert top.hyperparameters.noise_sd == pytest.approx(START.noise_sd)
-
-
 def test_finer_splines_have_to_gain_in_proportion_to_the_data():
     class Finer(Hill):
         def log_evidence(self, h):
@@ -123,17 +103,6 @@ def test_finer_splines_have_to_gain_in_proportion_to_the_data():
 
 def _half_once(h):
     return replace(h, spacing=h.spacing / 2) if h.spacing == START.spacing else None
-
-
-def test_numbers_without_evidence_are_no_top():
-    class Pit(Hill):
-        def log_evidence(self, h):
-            super().log_evidence(h)
-            return 0.0 if h == START else -np.inf
-
-        log_evidence_of_noise = log_evidence
-
-    assert climb(Pit(START), START).hyperparameters == START
 
 
 def test_a_step_into_numbers_that_cannot_be_used_leads_back():

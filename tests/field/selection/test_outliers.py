@@ -6,13 +6,12 @@ import pytest
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map, map_samples
-from magmatch.field.config import SPLINE, FieldConfig
+from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.selection.outliers import find_outliers, reweighted_residuals
-from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
-from magmatch.simulation.simulate import simulate
 
 UT = 1e-6
 SETTINGS = FieldConfig(prior="spline", lengthscale=0.5, noise_sd=0.3 * UT, spacing=0.25)
@@ -82,14 +81,6 @@ def test_clean_rooms_and_steep_fields_keep_all_but_a_thousandth():
     assert len(build_map(Survey(x, steep), SETTINGS).survey) >= 0.995 * len(x)
 
 
-@pytest.mark.parametrize("seed", [400, 402])
-def test_simulated_rooms_keep_the_samples_that_come_close_to_steel(seed):
-    """What one of them sees is finer than the splines, and was taken for a contradiction."""
-    pytest.importorskip("magpylib", reason="needs the extra 'simulation'")
-    survey = simulate("office-random", seed).base
-    assert len(build_map(survey, SPLINE).survey) >= len(survey) - 1
-
-
 def test_a_lift_that_passed_on_one_lap_of_four_is_left_out():
     rng = np.random.default_rng(2)
     turn = np.linspace(0, 8 * np.pi, 2400)
@@ -127,18 +118,6 @@ def test_a_survey_that_contradicts_itself_everywhere_is_kept_with_a_word(caplog)
     with caplog.at_level("WARNING"):
         assert len(build_map(Survey(x, b), SETTINGS).survey) == len(x)
     assert "too many" in caplog.text
-
-
-def test_the_map_without_outliers_is_saved_and_read_back(tmp_path):
-    x, b, _ = room(seed=4)
-    b[7] += 50 * UT
-    built = build_map([Survey(x[:600], b[:600]), Survey(x[600:], b[600:])], SETTINGS)
-    built.save(tmp_path / "room.mag")
-    loaded = type(built).load(tmp_path / "room.mag")
-    # The spike, and perhaps a clean sample: see the thousandth above.
-    assert 1198 <= len(built.survey) <= 1199
-    assert len(loaded.survey) == len(built.survey)
-    assert np.array_equal(loaded.evaluate(x[:5]).field, built.evaluate(x[:5]).field)
 
 
 @pytest.mark.parametrize("n", [5, 40])

@@ -4,7 +4,12 @@
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.searched_part import PART_OPERATIONS, SMALLER_PART, search_part, search_smaller_part
+from magmatch.field.selection.spline_hyperparameters import (
+    PART_OPERATIONS,
+    SMALLER_PART,
+    search_part,
+    search_smaller_part,
+)
 
 H = Hyperparameters(lengthscale=0.3, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
 

@@ -87,21 +87,6 @@ def test_slopes_are_those_of_the_evidence_as_far_as_few_random_vectors_tell(fact
     assert search.noise_slopes(h) == found
 
 
-def test_evidence_finds_the_noise_level_the_field_was_drawn_with():
-    x, b = draw(300, seed=3)
-    search = EvidenceSearch(x, b, np.arange(len(x)))
-    ratios = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
-    best = ratios[np.argmax([search.log_evidence(replace(H, noise_sd=H.noise_sd * r)) for r in ratios])]
-    assert best == 1.0
-    assert search.noise_sd(H) == pytest.approx(H.noise_sd, rel=0.1)
-
-
-def test_white_residuals_count_one_by_one():
-    r = np.random.default_rng(0).standard_normal((5000, 3))
-    assert integrated_autocorrelation_time(r, np.arange(5000)) == 1.0
-    assert integrated_autocorrelation_time(np.zeros((50, 3)), np.arange(50)) == 1.0
-
-
 @given(share=st.floats(0.2, 0.75), scale=st.floats(1e-9, 1e3))
 @settings(max_examples=10, deadline=None)
 def test_an_autoregression_counts_as_its_correlation_time(share, scale):

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from magmatch.errors import ConfigurationError
 from magmatch.field.hyperparameters import Hyperparameters
@@ -15,7 +13,6 @@ from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from oracles.dense_matrix import to_dense
 
-few = settings(deadline=None, max_examples=8)
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 300.0)
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 
@@ -44,29 +41,6 @@ def fitted():
     return model, model.infer(model.observe(x, b)), x, b
 
 
-def test_spline_prior_is_registered():
-    assert PRIORS["spline"].name == "spline"
-
-
-@few
-@given(seed=st.integers(0, 1000), n_parts=st.integers(2, 6))
-def test_samples_left_out_part_by_part_are_as_if_never_seen(fitted, seed, n_parts):
-    model, _, x, b = fitted
-    order = np.random.default_rng(seed).permutation(len(x))
-    kept, *left_out = np.array_split(order, n_parts)
-    rest = model.observe(x[order], b[order])
-    for rows in left_out:
-        rest = rest - model.observe(x[rows], b[rows])
-    expected = model.infer(model.observe(x[kept], b[kept])).evaluate(x).field
-    assert np.abs(model.infer(rest).evaluate(x).field - expected).max() < 1e-8 * np.abs(b).max()
-
-
-def test_inference_is_deterministic(fitted):
-    _, posterior, x, b = fitted
-    again = SplineModel.over(x, H)
-    assert np.array_equal(again.infer(again.observe(x, b)).weights, posterior.weights)
-
-
 def test_inference_equals_dense_bayesian_regression(fitted):
     model, _, x, b = fitted
     few_points = slice(0, 40)
@@ -90,51 +64,6 @@ def test_weights_scale_each_sample_as_repetition_does(fitted):
     twice = model.observe(np.r_[x, x], np.r_[b, b])
     np.testing.assert_allclose(doubled.eta, twice.eta, rtol=1e-10, atol=1e-18)
     np.testing.assert_allclose(doubled.gram.stencil, twice.gram.stencil, rtol=1e-10, atol=1e-12)
-
-
-def test_curl_is_exactly_zero(fitted):
-    _, posterior, x, _ = fitted
-    gradient = posterior.evaluate(x, 1).gradient
-    assert np.array_equal(gradient, np.swapaxes(gradient, 1, 2))
-
-
-def test_derivatives_are_finite_differences(fitted):
-    _, posterior, x, _ = fitted
-    q, e = x[:60] + 1e-3, 1e-6
-    values = posterior.evaluate(q, 2)
-    # Third derivatives of cubic splines jump at cell boundaries: stay within one cell.
-    t = posterior.cells.locate(q)[1]
-    inside = np.all((t > 1e-4) & (t < 1 - 1e-4), axis=1)
-    for axis in range(3):
-        step = e * np.eye(3)[axis]
-        up, down = posterior.evaluate(q + step, 1), posterior.evaluate(q - step, 1)
-        np.testing.assert_allclose((up.field - down.field) / (2 * e), values.gradient[..., axis], atol=1e-9)
-        second = (up.gradient - down.gradient) / (2 * e)
-        np.testing.assert_allclose(second[inside], values.second[inside][..., axis], atol=1e-7)
-
-
-def test_grid_equals_points(fitted):
-    _, posterior, _, _ = fitted
-    axes = (np.linspace(-1.0, 2.9, 17), np.linspace(0.1, 1.7, 9), np.linspace(-0.7, 1.4, 12))
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    grid, direct = posterior.evaluate_on_grid(axes, 2), posterior.evaluate(points, 2)
-    for name in ("field", "gradient", "second"):
-        expected = getattr(direct, name)
-        np.testing.assert_allclose(getattr(grid, name), expected, atol=1e-10 * np.abs(expected).max())
-
-
-def test_covariance_is_that_of_drawn_weights(fitted):
-    _, posterior, _, _ = fitted
-    q = np.array([[0.5, 0.5, 0.2], [2.3, 2.3, 0.3]])
-    draws = posterior.draw_weights(4000, np.random.default_rng(1))
-    values = [posterior.evaluate(q, 1, w) for w in draws]
-    stacked = np.array([np.concatenate([v.field, v.gradient.reshape(-1, 9)], axis=1) for v in values])
-    for i in range(2):
-        sample = np.cov(stacked[:, i].T)
-        exact = posterior.covariance(q, 1)[i]
-        sd = np.sqrt(np.diagonal(exact))
-        # 4,000 draws give a correlation to about 0.016; 5 standard errors.
-        np.testing.assert_allclose(sample / np.outer(sd, sd), exact / np.outer(sd, sd), atol=0.08)
 
 
 def test_inflation_scales_covariance_and_draws_but_not_the_mean(fitted):
@@ -172,16 +101,6 @@ def test_prior_variance_at_a_lone_sample_is_the_stated_one():
     assert variance - CONSTANT_SD**2 == pytest.approx(H.signal_sd**2, rel=0.05)
 
 
-def test_constant_field_is_found_and_flat():
-    x = room()[0]
-    b = np.tile(EARTH, (len(x), 1))
-    h = PRIORS["spline"].choose_hyperparameters(x, b)
-    model = PRIORS["spline"].build(x, b, h)
-    values = model.infer(model.observe(x, b)).evaluate(x, 1)
-    np.testing.assert_allclose(values.field, b, atol=1e-12)
-    assert np.abs(values.gradient).max() < 1e-12
-
-
 def test_chosen_hyperparameters_recover_a_dipole_room():
     x, b = room(1000)
     prior = PRIORS["spline"]
@@ -195,48 +114,6 @@ def test_chosen_hyperparameters_recover_a_dipole_room():
     assert 1.5e-7 < h.noise_sd < 6e-7
     sd = np.sqrt(np.diagonal(posterior.covariance(q), axis1=1, axis2=2))
     assert 0.9 < np.mean(np.abs(error) < 1.96 * sd) <= 1.0
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_fields_of_any_strength_are_fitted_alike(scale):
-    x, b = room(400)
-    centred = b - b.mean(axis=0)
-    h = PRIORS["spline"].choose_hyperparameters(x, centred)
-    scaled = PRIORS["spline"].choose_hyperparameters(x, scale * centred)
-    assert scaled.spacing == pytest.approx(h.spacing)
-    # The constant's prior does not scale along.
-    assert scaled.noise_sd == pytest.approx(scale * h.noise_sd, rel=0.05)
-
-
-LAYOUTS = {
-    "line": lambda r: np.c_[np.linspace(0, 5, 300), np.zeros((300, 2))],
-    "plane": lambda r: np.c_[r.uniform(0, 2, (300, 2)), np.zeros(300)],
-    "one place": lambda r: np.zeros((300, 3)),
-    "duplicates": lambda r: np.repeat(r.uniform(0, 1, (60, 3)), 5, axis=0),
-    "two clusters": lambda r: np.r_[r.uniform(0, 1, (150, 3)), 40 + r.uniform(0, 1, (150, 3))],
-    "five samples": lambda r: r.uniform(0, 1, (5, 3)),
-    "one sample": lambda r: np.zeros((1, 3)),
-}
-
-
-@pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
-def test_degenerate_layouts_give_finite_answers(layout):
-    rng = np.random.default_rng(0)
-    x = layout(rng)
-    b = EARTH + 1e-6 * np.sin(3 * x) + 1e-7 * rng.normal(size=x.shape)
-    prior = PRIORS["spline"]
-    model = prior.build(x, b, prior.choose_hyperparameters(x, b))
-    posterior = model.infer(model.observe(x, b))
-    values = posterior.evaluate(x, 2)
-    assert np.isfinite(values.second).all()
-    assert np.linalg.eigvalsh(posterior.covariance(x[:10])).min() > 0
-
-
-@pytest.mark.parametrize(("lengthscale", "spacing"), [(0.001, 0.2), (50.0, 0.2), (1e-3, 1.0)])
-def test_absurd_lengthscales_are_answered(lengthscale, spacing):
-    x, b = room(200)
-    model = SplineModel.over(x, Hyperparameters(lengthscale, 1e-5, 1e-6, spacing, 300.0))
-    assert np.isfinite(model.infer(model.observe(x, b)).evaluate(x, 1).gradient).all()
 
 
 def test_absurdly_fine_spacing_is_refused():

@@ -10,8 +10,8 @@ import pytest
 
 from magmatch.errors import ConfigurationError, MissingExtraError, TaskError
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tile_fit import fit_weights
-from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.runner import Runner
 from magmatch.workers import DaskRunner

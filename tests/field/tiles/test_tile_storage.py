@@ -6,12 +6,11 @@ import pytest
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.field.config import SPLINE, FieldConfig
+from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapRecord
 from magmatch.field.tiles.tiled_posterior import TiledPosterior
-from magmatch.geometry import random_transform
 
 CONFIG = FieldConfig(prior="spline", lengthscale=0.5, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
 
@@ -68,15 +67,6 @@ def test_loading_fits_nothing_and_says_the_same_to_the_bit(saved, old, monkeypat
     assert np.array_equal(*draws)
 
 
-def test_map_of_chosen_numbers_loads_too(tmp_path):
-    build_map(walk(0, 8), SPLINE).save(tmp_path / "m")
-    FieldMap.load(tmp_path / "m")
-
-
-def test_every_tile_is_stored_for_itself(saved, old):
-    assert tiles(saved).keys() == set(old.posterior.tiles)
-
-
 def test_adding_a_survey_fits_only_the_tiles_it_touches(saved, tmp_path, monkeypatch):
     before, fitted = FieldMap.load(saved), []
 
@@ -120,33 +110,3 @@ def test_adding_equals_building_anew_with_the_same_numbers(saved, tmp_path):
     assert np.array_equal(added.posterior.weights, rebuilt.weights)
     added.save(tmp_path / "m")
     assert np.array_equal(FieldMap.load(tmp_path / "m").posterior.weights, rebuilt.weights)
-
-
-def test_surveys_are_kept_one_by_one(saved, tmp_path):
-    FieldMap.load(saved).with_surveys(walk(13, 15, seed=1, name="later")).save(tmp_path / "m")
-    loaded = FieldMap.load(tmp_path / "m")
-    assert [s.name for s in loaded.surveys] == ["walk", "later"]
-    assert [len(s) for s in loaded.surveys] == [len(walk(0, 14)), len(walk(13, 15))]
-    assert np.array_equal(loaded.surveys[1].times, walk(13, 15, seed=1).times)
-    assert loaded.survey.times is None
-    assert len(loaded.survey) == len(walk(0, 14)) + len(walk(13, 15))
-
-
-def test_carried_map_takes_a_survey_in_its_new_frame(old):
-    T = random_transform(np.random.default_rng(3), 100.0)
-    later = walk(13, 15, seed=1)
-    here = old.with_surveys(later)
-    there = old.transformed(T).with_surveys(later.transformed(T))
-    points = later.positions[::5]
-    np.testing.assert_allclose(
-        T.rotation.apply(here.evaluate(points).field), there.evaluate(T.apply(points)).field, rtol=1e-9
-    )
-
-
-def test_untiled_and_other_maps_take_a_survey_too(monkeypatch):
-    monkeypatch.undo()
-    for prior in ("spline", "divergence_free"):
-        first = build_map(walk(0, 2), CONFIG.model_copy(update={"prior": prior, "domain": (-1, -1, -1, 9, 9, 9)}))
-        added = first.with_surveys(walk(2, 4, seed=1))
-        assert added.knows(walk(2, 4).positions).all()
-        assert np.abs(added.evaluate(walk(2, 4).positions).field - walk(2, 4).field).max() < 2e-6

@@ -12,12 +12,11 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_fit import FitError
+from magmatch.field.tiles.region_model import TiledModel
+from magmatch.field.tiles.tile_fit import FitError, TileCache
 from magmatch.field.tiles.tiled_draws import normals
-from magmatch.field.tiles.tiled_model import TiledModel
 from magmatch.field.tiles.tiled_posterior import TiledPosterior
-from magmatch.field.tiles.tiles import TileKeys, Tiling, smooth_step
+from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.threads import one_blas_thread
 
 few = settings(deadline=None, max_examples=20)
@@ -76,16 +75,6 @@ def test_shares_of_all_tiles_sum_to_one_and_their_slopes_to_zero(seed, core, ble
     np.testing.assert_allclose(total[1:], 0.0, atol=1e-9)
 
 
-def test_smooth_step_has_the_derivatives_it_states():
-    t, e = np.linspace(-0.2, 1.2, 300), 1e-6
-    value, slope, bend = smooth_step(t)
-    numeric = [(a - b) / (2 * e) for a, b in zip(smooth_step(t + e)[:2], smooth_step(t - e)[:2], strict=True)]
-    np.testing.assert_allclose(slope, numeric[0], atol=1e-8)
-    np.testing.assert_allclose(bend, numeric[1], atol=1e-4)
-    assert value.min() == 0.0
-    assert value.max() == 1.0
-
-
 @few
 @given(seed=st.integers(0, 10**6))
 def test_every_tile_with_a_say_exists_and_sees_every_sample_that_reaches_its_cells(seed):
@@ -114,11 +103,6 @@ def test_points_on_the_rim_lie_in_the_box_that_holds_their_cell(axis):
     # Cell i spans (i - 0.5, i + 0.5) spacings; all these numbers are exact.
     points[:, axis] = 0.25 * (np.array([low[axis] - 1, low[axis], high[axis] - 1, high[axis]]) - 0.5)
     assert tiling.is_inside(points, index).tolist() == [False, True, True, False]
-
-
-def test_tiles_know_what_one_fit_knows(fitted, whole):
-    points = np.random.default_rng(0).uniform([-3, -3, -1], [3, 3, 1], (2000, 3))
-    assert np.array_equal(fitted[1].knows(points), whole.knows(points))
 
 
 def test_tiles_agree_with_one_fit_to_a_third_of_a_standard_deviation(fitted, whole):
@@ -161,15 +145,6 @@ def test_curl_vanishes_where_one_tile_answers_and_is_bounded_where_two_blend(fit
     assert np.all(curl <= 2 * steepest * differences.max(axis=1) + 1e-15)
 
 
-def test_grid_of_tiles_equals_points(fitted):
-    axes = (np.linspace(-2.4, 2.1, 23), np.linspace(-2, 1.7, 19), np.linspace(-0.3, 0.2, 3))
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    on_grid, at_points = fitted[1].evaluate_on_grid(axes, 2), fitted[1].evaluate(points, 2)
-    for name in ("field", "gradient", "second"):
-        scale = np.abs(getattr(at_points, name)).max()
-        np.testing.assert_allclose(getattr(on_grid, name), getattr(at_points, name), atol=1e-12 * scale)
-
-
 @settings(deadline=None, max_examples=2)
 @given(seed=st.integers(0, 1000))
 def test_samples_left_out_are_as_if_never_seen_in_any_order(fitted, seed):
@@ -193,13 +168,6 @@ def test_draws_have_the_posterior_covariance_and_agree_between_tiles(fitted):
     assert ratio.mean() == pytest.approx(0.97, abs=0.1)
     error = draws.mean(axis=0) - posterior.evaluate(q).field
     assert np.abs(error / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))).max() < 4 / np.sqrt(150)
-
-
-def test_draws_are_the_same_for_one_seed(fitted):
-    posterior, q = fitted[1], inside(5)
-    one, two = (list(posterior.draw_weights(2, np.random.default_rng(7))) for _ in range(2))
-    assert np.array_equal(posterior.evaluate(q, 1, one[1]).gradient, posterior.evaluate(q, 1, two[1]).gradient)
-    assert not np.array_equal(posterior.evaluate(q, 0, one[0]).field, posterior.evaluate(q, 0, one[1]).field)
 
 
 def test_noise_by_name_is_white():
@@ -266,7 +234,7 @@ def test_region_of_countless_tiles_is_refused_in_one_line(monkeypatch):
 def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, monkeypatch):
     model, posterior, x, b = fitted
     few_bytes = 4.5 * max(posterior.factored(k).factors.full.n_bytes for k in range(len(model.tiles)))
-    monkeypatch.setattr("magmatch.field.tiles.tiled_model.FACTORED_BYTES", few_bytes)
+    monkeypatch.setattr("magmatch.field.tiles.region_model.FACTORED_BYTES", few_bytes)
     elsewhere = model.fit(x, b, {}, lambda fit, tasks: [fit(task) for task in tasks])
     frugal, q = model.infer(model.observe(x, b)), inside(40)
     for other in (elsewhere, frugal):

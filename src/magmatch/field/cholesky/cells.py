@@ -8,7 +8,7 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.errors import ConfigurationError
 from magmatch.grid import spanned_points
-from magmatch.typing import Points, Scalars
+from magmatch.typing import Points
 
 # Memory: about 4 kB per active cell for the matrices, as much again for the factor; 8 bytes per cell of the box.
 MAX_ACTIVE_CELLS = 400_000
@@ -51,13 +51,6 @@ class CellGrid:
     def n_nodes(self) -> int:
         """Number of splines."""
         return len(self.nodes)
-
-    def axis_cells(self, x: Scalars, axis: int) -> tuple[np.ndarray, Scalars]:
-        """Cell index along one axis (clipped to -1..n) and position in the cell, 0 to 1."""
-        u = lattice_coordinate(np.asarray(x), self.spacing) - float(self.first[axis])
-        i = np.floor(u)
-        n = self.cell_index.shape[axis]
-        return np.clip(np.where(np.isnan(i), -1, i), -1, n).astype(np.int64), u - i
 
     def locate(self, points: Points) -> tuple[np.ndarray, Points]:
         """Active cell of each point (-1 where there is none) and the position in it, 0 to 1 along each axis."""

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +24,11 @@ from magmatch.field.cholesky.blas import (
     trsm,
 )
 from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
-from magmatch.field.cholesky.cells import HALF_STENCIL
+from magmatch.field.cholesky.cells import HALF_STENCIL, CellGrid
 from magmatch.field.cholesky.nested_dissection import Elimination
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
+from magmatch.typing import Scalars
 
 _NO_SINGLES, _NO_DOUBLES = np.zeros(0, np.float32), np.zeros(0)
 
@@ -81,6 +83,87 @@ class CholeskyFactor:
     @property
     def _trsm(self) -> Callable[..., np.ndarray]:
         return blas.dtrsm if self.precision == np.float64 else blas.strsm
+
+
+# Gives the factor in a precision, or a better one where that does not do.
+Make = Callable[[type[np.floating]], CholeskyFactor]
+
+
+class Factors:
+    """Factors of one matrix, each made when it is first asked for."""
+
+    def __init__(self, make: Make, made: CholeskyFactor | None = None) -> None:
+        self._make = make
+        self._made: dict[type[np.floating], CholeskyFactor] = {}
+        if made is not None:
+            self._keep(np.float32, made)
+
+    @classmethod
+    def of(cls, factor: CholeskyFactor) -> "Factors":
+        """One factor for everything."""
+        return cls(partial(_same, factor), factor)
+
+    @classmethod
+    def gone(cls) -> "Factors":
+        """None: who asks for one is told."""
+        return cls(_refuse)
+
+    @property
+    def full(self) -> CholeskyFactor:
+        """In double precision."""
+        return self._find(np.float64)
+
+    @property
+    def light(self) -> CholeskyFactor:
+        """In single precision, or in double where that does not do: spreads are right to a thousandth."""
+        return self._find(np.float32)
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of those that were made."""
+        # A list, since another thread may make one meanwhile.
+        return sum(factor.n_bytes for factor in {id(f): f for f in list(self._made.values())}.values())
+
+    def _find(self, precision: type[np.floating]) -> CholeskyFactor:
+        if precision not in self._made:
+            self._keep(precision, self._make(precision))
+        return self._made[precision]
+
+    def _keep(self, precision: type[np.floating], factor: CholeskyFactor) -> None:
+        self._made[precision] = factor
+        if factor.precision == np.float64:
+            self._made[np.float64] = factor
+
+
+def _same(factor: CholeskyFactor, _: type[np.floating]) -> CholeskyFactor:
+    return factor
+
+
+def _refuse(_: type[np.floating]) -> CholeskyFactor:
+    msg = "the factors of this posterior are not kept: only its mean can be evaluated"
+    raise RuntimeError(msg)
+
+
+# What the next correction may still change, relative to the largest entry (a solution in double is right to 1e-12);
+# how many may be needed, and by how much each has to be smaller than the last.
+TOLERANCE, MOST_CORRECTIONS, SLOWEST = 1e-11, 8, 0.2
+
+
+def refined_solve(A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid) -> Scalars | None:
+    """Solve ``A x = rhs`` by iterative refinement (Wilkinson 1963)."""
+    x = factor.solve(rhs)
+    size = last = float(np.abs(x).max())
+    for _ in range(MOST_CORRECTIONS):
+        correction = factor.solve(rhs - A.times(x, cells))
+        x = x + correction
+        change = float(np.abs(correction).max())
+        if not change < SLOWEST * last:
+            return None
+        # Corrections shrink by about the same factor each time, which tells the next one without computing it.
+        if change * change / last <= TOLERANCE * size:
+            return np.asarray(x)
+        last = change
+    return None
 
 
 @single_threaded

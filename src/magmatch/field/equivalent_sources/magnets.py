@@ -8,7 +8,6 @@ Magnets are found one by one, each where it explains most of the residual, and a
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.compiled import compiled
 from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
 
 # A magnet as charges on the corners of an octahedron and in its middle, of this size in its distance from the
@@ -68,34 +67,19 @@ def _candidate(x: Points, residual: Vectors, tree: cKDTree, nearest: float, reac
     return np.asarray(at.reshape(-1, 3)[np.argmax(gains)])
 
 
-@compiled
-def moment_equations(
-    x: np.ndarray, residual: np.ndarray, rows: np.ndarray, at: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of one dipole's moment at each place: sums of ``3 r r^T / d^8 + I / d^6`` and of A b."""
-    gram, u = np.zeros((*at.shape, 3)), np.zeros(at.shape)
-    for i in range(at.shape[0]):
-        for j in range(at.shape[1]):
-            G, v = gram[i, j], u[i, j]
-            for row in rows[i]:
-                r0, r1, r2 = x[row, 0] - at[i, j, 0], x[row, 1] - at[i, j, 1], x[row, 2] - at[i, j, 2]
-                b = residual[row]
-                # No witness stands where a dipole is tried that counts.
-                inverse = 1.0 / max(r0 * r0 + r1 * r1 + r2 * r2, 1e-30)
-                cube = inverse * np.sqrt(inverse)
-                six, along = cube * cube, 3.0 * inverse * (r0 * b[0] + r1 * b[1] + r2 * b[2])
-                eight = 3.0 * six * inverse
-                G[0, 0] += eight * r0 * r0 + six
-                G[1, 1] += eight * r1 * r1 + six
-                G[2, 2] += eight * r2 * r2 + six
-                G[0, 1] += eight * r0 * r1
-                G[0, 2] += eight * r0 * r2
-                G[1, 2] += eight * r1 * r2
-                v[0] += cube * (along * r0 - b[0])
-                v[1] += cube * (along * r1 - b[1])
-                v[2] += cube * (along * r2 - b[2])
-            G[1, 0], G[2, 0], G[2, 1] = G[0, 1], G[0, 2], G[1, 2]
-    return gram, u
+def moment_equations(x: Points, residual: Vectors, rows: Indices, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of one dipole's moment at each place (a, p, 3): sums over ``rows`` (a, w) of A^T A, A^T b.
+
+    ``A = (3 r r^T / d^2 - I) / d^3``, whose square is ``3 r r^T / d^8 + I / d^6``.
+    """
+    r = x[rows][:, None] - at[:, :, None]
+    # No witness stands where a dipole is tried that counts.
+    inverse = 1 / np.maximum((r**2).sum(axis=-1), 1e-30)
+    six, scaled = inverse**3, r * (inverse**2)[..., None]
+    gram = 3 * np.swapaxes(scaled, -1, -2) @ scaled + six.sum(axis=-1)[..., None, None] * np.eye(3)
+    b = residual[rows][:, None]
+    along = 3 * inverse * (r * b).sum(axis=-1)
+    return gram, (np.sqrt(six)[..., None] * (along[..., None] * r - b)).sum(axis=2)
 
 
 def _refined(
@@ -155,33 +139,19 @@ def _background(x: Points) -> Matrix:
     return out.reshape(8, -1)
 
 
-@compiled
-def dipole_fields(x: np.ndarray, positions: np.ndarray) -> np.ndarray:
+def dipole_fields(x: Points, positions: Points) -> Matrix:
     """Field of dipoles per unit of each moment: (3 k, 3 n)."""
-    out = np.empty((3 * len(positions), 3 * len(x)))
-    for k in range(len(positions)):
-        for i in range(len(x)):
-            r = x[i] - positions[k]
-            inverse = 1.0 / (r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
-            cube = inverse * np.sqrt(inverse)
-            for a in range(3):
-                for b in range(3):
-                    out[3 * k + a, 3 * i + b] = cube * (3 * inverse * r[a] * r[b] - (1.0 if a == b else 0.0))
-    return out
+    r = x - positions[:, None]
+    inverse = 1 / (r**2).sum(axis=-1)[..., None, None]
+    field = inverse**1.5 * (3 * inverse * r[..., :, None] * r[..., None, :] - np.eye(3))
+    return np.asarray(field.transpose(0, 2, 1, 3).reshape(3 * len(positions), 3 * len(x)))
 
 
-@compiled
-def dipole_slopes(x: np.ndarray, positions: np.ndarray, moments: np.ndarray) -> np.ndarray:
+def dipole_slopes(x: Points, positions: Points, moments: Vectors) -> Matrix:
     """Derivatives of dipoles' fields by their positions: (3 k, 3 n)."""
-    out = np.empty((3 * len(positions), 3 * len(x)))
-    for k in range(len(positions)):
-        m = moments[k]
-        for i in range(len(x)):
-            r = x[i] - positions[k]
-            inverse = 1.0 / (r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
-            along, five = r[0] * m[0] + r[1] * m[1] + r[2] * m[2], inverse * inverse * np.sqrt(inverse)
-            for a in range(3):
-                for b in range(3):
-                    mixed = r[a] * m[b] + m[a] * r[b] + (along if a == b else 0.0)
-                    out[3 * k + a, 3 * i + b] = five * (15 * along * inverse * r[a] * r[b] - 3 * mixed)
-    return out
+    r = x - positions[:, None]
+    inverse = 1 / (r**2).sum(axis=-1)[..., None, None]
+    along, mixed = (r @ moments[..., None])[..., None], r[..., :, None] * moments[:, None, None, :]
+    mixed = mixed + np.swapaxes(mixed, -1, -2) + along * np.eye(3)
+    slopes = inverse**2.5 * (15 * along * inverse * r[..., :, None] * r[..., None, :] - 3 * mixed)
+    return np.asarray(slopes.transpose(0, 2, 1, 3).reshape(3 * len(positions), 3 * len(x)))

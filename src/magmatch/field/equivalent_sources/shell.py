@@ -4,6 +4,10 @@
 Any field whose sources all lie outside a region equals, in it, that of a layer of charges around it (a single-layer
 potential). The layer follows the samples, not their box: furniture may stand in a corner of the box that no sample is
 near, and the box of a room turned against the model's axes holds the room's own walls.
+
+Magnetic charges do not exist, but a layer of them outside a region represents any field without sources inside it.
+The field of each is exactly curl-free and divergence-free away from the charge. Only distinct derivatives are formed,
+in the order of `spline_basis.derivative_table`.
 """
 
 import logging
@@ -13,13 +17,71 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.compiled import compiled
-from magmatch.field.equivalent_sources.charges import charge_design, charge_field
 from magmatch.field.inducing.kernels import N_ROWS
-from magmatch.field.linear_model import Axes
-from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX
+from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX, derivative_table, values_of
 from magmatch.field.values import FieldValues
-from magmatch.grid import spanned_points
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
+
+
+@compiled
+def _rows(x: float, y: float, z: float, order: int, out: np.ndarray) -> None:
+    """Field and distinct derivatives of a unit charge at offset (x, y, z) from it."""
+    q = 1.0 / (x * x + y * y + z * z)
+    a = q * np.sqrt(q)
+    out[0], out[1], out[2] = a * x, a * y, a * z
+    if order == 0:
+        return
+    b = -3.0 * a * q
+    out[3], out[4], out[5] = a + b * x * x, b * x * y, b * x * z
+    out[6], out[7], out[8] = a + b * y * y, b * y * z, a + b * z * z
+    if order == 1:
+        return
+    c = -5.0 * b * q
+    out[9] = x * (3 * b + c * x * x)
+    out[10], out[11] = y * (b + c * x * x), z * (b + c * x * x)
+    out[12], out[13], out[14] = x * (b + c * y * y), c * x * y * z, x * (b + c * z * z)
+    out[15] = y * (3 * b + c * y * y)
+    out[16], out[17] = z * (b + c * y * y), y * (b + c * z * z)
+    out[18] = z * (3 * b + c * z * z)
+
+
+@compiled
+def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) -> None:
+    row = np.zeros(out.shape[0])
+    for i in range(len(points)):
+        for j in range(len(sources)):
+            _rows(
+                points[i, 0] - sources[j, 0], points[i, 1] - sources[j, 1], points[i, 2] - sources[j, 2], order, row
+            )  # fmt: skip
+            for k in range(len(row)):
+                out[k, i, j] = row[k]
+
+
+@compiled
+def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: int, out: np.ndarray) -> None:
+    row = np.zeros(out.shape[1])
+    for i in range(len(points)):
+        for j in range(len(sources)):
+            _rows(
+                points[i, 0] - sources[j, 0], points[i, 1] - sources[j, 1], points[i, 2] - sources[j, 2], order, row
+            )  # fmt: skip
+            for k in range(len(row)):
+                out[i, k] += charges[j] * row[k]
+
+
+def charge_design(points: Points, sources: Points, order: int) -> np.ndarray:
+    """Field and distinct derivatives at points per unit charge."""
+    out = np.empty((len(derivative_table(order)), len(points), len(sources)))
+    _fill(points, sources, order, out)
+    return out
+
+
+def charge_field(points: Points, sources: Points, charges: Scalars, order: int) -> Matrix:
+    """Field and distinct derivatives at points of given charges (T m^2): (n, 3, 9 or 19), T, T/m, T/m^2."""
+    out = np.zeros((len(points), len(derivative_table(order))))
+    _sum(points, sources, charges, order, out)
+    return out
+
 
 log = logging.getLogger(__name__)
 
@@ -83,21 +145,11 @@ class SourceShell:
 
     def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
         """Field and derivatives at points; the constant alone away from the region."""
-        n, is_near = len(points), self.is_whole(points)
-        out = np.zeros((n, N_ROWS[order]))
-        charges = self.scale * weights
-        out[is_near] = charge_field(np.ascontiguousarray(points[is_near]), self.sources, charges, order)[
-            :, _row_index(order)
-        ]
-        return FieldValues(
-            out[:, :3] + constant,
-            out[:, 3:12].reshape(n, 3, 3) if order >= 1 else None,
-            out[:, 12:].reshape(n, 3, 3, 3) if order >= 2 else None,
-        )
-
-    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, in C order."""
-        return self.evaluate(spanned_points(axes), weights, order, constant)
+        is_near = self.is_whole(points)
+        out = np.zeros((len(points), len(derivative_table(order))))
+        near = np.ascontiguousarray(points[is_near])
+        out[is_near] = charge_field(near, self.sources, self.scale * weights, order)
+        return values_of(out, constant, order)
 
 
 def lay_shell(region: Points, distance: float, spacing: float, max_sources: int) -> SourceShell:

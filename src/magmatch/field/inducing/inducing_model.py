@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import chunks
 from magmatch.field.inducing.kernels import N_ROWS, Kernel
-from magmatch.field.linear_model import Axes, Index, Piece, StoredTile
+from magmatch.field.linear_model import Index, Piece, StoredTile
 from magmatch.field.values import FieldValues
 from magmatch.runner import Workers
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3, Vectors
@@ -42,9 +42,6 @@ class Basis(Protocol):
 
     def evaluate(self, points: Points, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
         """Field and derivatives at points."""
-
-    def evaluate_on_grid(self, axes: Axes, weights: np.ndarray, order: int, constant: Vector3) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, in C order."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -184,10 +181,6 @@ class InducingPosterior:
         """Field and derivatives at points, by default of the posterior mean."""
         w = self.weights if weights is None else np.asarray(weights, dtype=np.float64)
         return self.model.basis.evaluate(points, w[:-3], order, w[-3:])
-
-    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, one axis after the other."""
-        return self.model.basis.evaluate_on_grid(axes, self.weights[:-3], order, self.weights[-3:])
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's far from the samples (DTC)."""

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
-from magmatch.field.inducing.gaussian_grid import GaussianGrid
-from magmatch.field.inducing.inducing_grid import InducingGrid, lay_affordable_grid
+from magmatch.field.inducing.gaussian_grid import GaussianGrid, InducingGrid, lay_affordable_grid
 from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.kernels import Kernel, Term
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, choose_samples, fit_at, fit_lengthscale

@@ -3,8 +3,7 @@
 
 from magmatch.field.domain import Box
 from magmatch.field.linear_model import DensePrior, Prior
-from magmatch.field.priors.curl_free import CurlFreePrior
-from magmatch.field.priors.divergence_free import DivergenceFreePrior
+from magmatch.field.priors.gaussian import CurlFreePrior, DivergenceFreePrior
 from magmatch.field.priors.harmonic import HarmonicPrior
 from magmatch.field.priors.spline import SplinePrior
 

@@ -4,8 +4,7 @@
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import check_samples
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.field.tiles.region_model import WholeModel, lay_splines
-from magmatch.field.tiles.tiled_model import TiledModel
+from magmatch.field.tiles.region_model import TiledModel, WholeModel, lay_splines
 from magmatch.typing import Points, Vectors
 
 

@@ -9,6 +9,7 @@ weights' own unit (T) and every further derivative brings a factor ``1 / h``.
 import numpy as np
 
 from magmatch.compiled import compiled
+from magmatch.field.values import FieldValues
 
 SPLINES_PER_CELL = 4**3
 
@@ -42,6 +43,15 @@ def derivative_table(order: int) -> np.ndarray:
         msg = f"expected derivatives of order 0, 1 or 2, got {order}"
         raise ValueError(msg)
     return np.concatenate([FIRST, SECOND, THIRD][: order + 1])
+
+
+def values_of(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:
+    """Field values beside a constant field, from the list of distinct derivatives."""
+    return FieldValues(
+        distinct[:, :3] + constant,
+        distinct[:, 3:9][:, GRADIENT_INDEX] if order >= 1 else None,
+        distinct[:, 9:][:, SECOND_INDEX] if order >= 2 else None,
+    )
 
 
 @compiled

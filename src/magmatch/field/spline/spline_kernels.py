@@ -4,7 +4,9 @@
 import numpy as np
 
 from magmatch.compiled import compiled
-from magmatch.field.spline.spline_basis import derivative_rows, spline_values
+from magmatch.field.cholesky.cells import CellGrid
+from magmatch.field.spline.spline_basis import FIRST, derivative_rows, spline_values
+from magmatch.typing import Matrix, Points
 
 
 @compiled
@@ -60,6 +62,15 @@ def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  
             for d in range(3):
                 for k in range(fields.shape[2]):
                     out[p, k] += rows[d, a] * fields[i, d, k]
+
+
+def right_hand_sides(cells: CellGrid, points: Points, fields: np.ndarray) -> Matrix:
+    """Sums ``Phi^T b`` of several sets of field vectors at points, (n, 3, k): (m + 3, k), the constant last."""
+    cell, t = cells.locate(points)
+    out = np.zeros((cells.n_nodes + 3, fields.shape[2]))
+    add_right_hand_sides(cell, t, np.ascontiguousarray(fields), cells.cell_nodes, FIRST, out[:-3])
+    out[-3:] = fields.sum(axis=0)
+    return out
 
 
 @compiled

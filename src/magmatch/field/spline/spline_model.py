@@ -8,21 +8,24 @@ from functools import partial
 import numpy as np
 
 from magmatch.field.cholesky.cells import HALF_OFFSET, CellGrid, lay_cells
-from magmatch.field.cholesky.factors import Factors
-from magmatch.field.cholesky.multifrontal import factorise
+from magmatch.field.cholesky.multifrontal import Factors, factorise, refined_solve
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
 from magmatch.field.cholesky.point_solves import joint_covariances, marginal_covariances, solve_operations
-from magmatch.field.cholesky.refined_solve import refined_solve
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix, sum_of_elements
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, Index, Piece
-from magmatch.field.spline.element_matrices import cell_weights
-from magmatch.field.spline.spline_basis import FIRST, GRADIENT_INDEX, SECOND_INDEX, derivative_table
-from magmatch.field.spline.spline_grid import evaluate_on_grid
-from magmatch.field.spline.spline_kernels import add_gram, evaluate_points, linear_rows, point_covariances
+from magmatch.field.linear_model import Index, Piece
+from magmatch.field.spline.spline_basis import FIRST, derivative_table, values_of
+from magmatch.field.spline.spline_kernels import (
+    add_gram,
+    evaluate_points,
+    linear_rows,
+    point_covariances,
+    right_hand_sides,
+)
 from magmatch.field.spline.spline_prior import (
     cell_precision,
+    cell_weights,
     constant_precision,
     expand,
     prior_outside,
@@ -144,21 +147,10 @@ class SplinePosterior:
         cell, t = self.cells.locate(points)
         out = np.zeros((len(cell), len(derivatives)))
         evaluate_points(
-            cell,
-            t,
-            self.cells.cell_nodes,
-            w,
-            derivatives,
-            self.cells.spacing,
-            out,
-            *np.zeros((3, 4, 4)),
+            cell, t, self.cells.cell_nodes, w, derivatives, self.cells.spacing, out, *np.zeros((3, 4, 4)),
             *np.zeros((2, 4, 4, 4)),
-        )
-        return _as_values(out, w[-3:], order)
-
-    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """Field and derivatives on the grid spanned by three axes, one axis after the other."""
-        return evaluate_on_grid(self.cells, axes, self.weights, order)
+        )  # fmt: skip
+        return values_of(out, w[-3:], order)
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; the prior's outside the active cells.
@@ -201,11 +193,7 @@ class SplinePosterior:
 
     def loads(self, points: Points, fields: np.ndarray) -> Matrix:
         """Sums ``Phi^T b`` of fields, (m + 3, k)."""
-        cell, t = self.cells.locate(points)
-        out = np.zeros((len(self.weights), fields.shape[2]))
-        rows = self._rows(cell, t, derivative_table(0))
-        np.add.at(out, self._unknowns(cell), np.swapaxes(rows, 1, 2) @ fields)
-        return out
+        return right_hand_sides(self.cells, points, fields)
 
     def solve(self, loads: Matrix) -> Matrix:
         """Weights of the fields that are fitted to others, (m + 3, k)."""
@@ -242,12 +230,3 @@ class SplinePosterior:
         linear_rows(cell, t, derivatives, self.cells.spacing, rows)
         rows[cell < 0, :, :64] = 0.0
         return rows
-
-
-def _as_values(distinct: np.ndarray, constant: np.ndarray, order: int) -> FieldValues:
-    """Field values from the list of distinct derivatives."""
-    return FieldValues(
-        distinct[:, :3] + constant,
-        distinct[:, 3:9][:, GRADIENT_INDEX] if order >= 1 else None,
-        distinct[:, 9:][:, SECOND_INDEX] if order >= 2 else None,
-    )

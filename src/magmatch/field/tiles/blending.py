@@ -17,37 +17,6 @@ SMALLEST_SHARE = 1e-12
 Share = tuple[int, Indices, list[np.ndarray]]
 
 
-class Blend:
-    """Sum of tiles' values times their shares, by the product rule; the rest of the shares is a constant field."""
-
-    def __init__(self, n: int, order: int, constant: Vector3) -> None:
-        self.constant = constant
-        self.field = np.tile(constant, (n, 1))
-        self.gradient = np.zeros((n, 3, 3)) if order >= 1 else None
-        self.second = np.zeros((n, 3, 3, 3)) if order >= 2 else None
-
-    def add(self, rows: Indices, shares: list[np.ndarray], values: FieldValues) -> None:
-        """Add a tile's values at some rows; ``shares`` are its share, the share's gradient and Hessian there."""
-        w, B = shares[0], values.field - self.constant
-        self.field[rows] += w[:, None] * B
-        if self.gradient is None or values.gradient is None:
-            return
-        dw, G = shares[1], values.gradient
-        self.gradient[rows] += w[:, None, None] * G + B[:, :, None] * dw[:, None, :]
-        if self.second is None or values.second is None:
-            return
-        mixed = G[:, :, :, None] * dw[:, None, None, :]
-        self.second[rows] += (
-            w[:, None, None, None] * values.second
-            + mixed + mixed.transpose(0, 1, 3, 2)
-            + B[:, :, None, None] * shares[2][:, None]
-        )  # fmt: skip
-
-    def values(self) -> FieldValues:
-        """The sum."""
-        return FieldValues(self.field, self.gradient, self.second)
-
-
 def tile_shares(tiling: Tiling, tiles: list[Index], keys: TileKeys, points: Points, order: int) -> Iterator[Share]:
     """Each tile with a say at some points."""
     for number, rows in tiling.blended(points, keys):
@@ -59,11 +28,29 @@ def blended_values(
     points: Points, order: int, constant: Vector3, shares: Iterable[Share],
     evaluate: Callable[[int, Points], FieldValues],
 ) -> FieldValues:  # fmt: skip
-    """Field and derivatives of the blend; ``evaluate`` gives those of a tile by its number."""
-    total = Blend(len(points), order, constant)
+    """Sum of tiles' values times their shares, by the product rule; the rest of the shares is a constant field.
+
+    ``evaluate`` gives the values of a tile by its number.
+    """
+    n = len(points)
+    field = np.tile(constant, (n, 1))
+    gradient = np.zeros((n, 3, 3)) if order >= 1 else None
+    second = np.zeros((n, 3, 3, 3)) if order >= 2 else None
     for number, rows, share in shares:
-        total.add(rows, share, evaluate(number, points[rows]))
-    return total.values()
+        values, w = evaluate(number, points[rows]), share[0]
+        B, G = values.field - constant, values.gradient
+        field[rows] += w[:, None] * B
+        if gradient is not None and G is not None:
+            dw = share[1]
+            gradient[rows] += w[:, None, None] * G + B[:, :, None] * dw[:, None, :]
+        if second is not None and G is not None and values.second is not None:
+            mixed = G[:, :, :, None] * dw[:, None, None, :]
+            second[rows] += (
+                w[:, None, None, None] * values.second
+                + mixed + mixed.transpose(0, 1, 3, 2)
+                + B[:, :, None, None] * share[2][:, None]
+            )  # fmt: skip
+    return FieldValues(field, gradient, second)
 
 
 def blended_covariance(

@@ -18,17 +18,17 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import CellGrid
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline.element_matrices import cell_weights
-from magmatch.field.spline.spline_basis import FIRST
-from magmatch.field.spline.spline_kernels import add_right_hand_sides
+from magmatch.field.spline.spline_kernels import right_hand_sides
 from magmatch.field.spline.spline_model import SplinePosterior
-from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision
+from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision, cell_weights
 from magmatch.field.tiles.tile_fit import TileTask, TileTasks
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Matrix, Scalars
 
 # What noise belongs to.
 SAMPLE, CELL, CONSTANT = 1, 2, 3
+# Of a splitmix64 stream.
+_STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,12 +77,10 @@ def _noise(task: TileTask, seen: Indices, cells: CellGrid, seeds: range) -> np.n
         scatter_add((normals(seed, names, 64) @ root) * spread, cells.cell_nodes, z[:, k])
         z[m:, k] += h.noise_sd / CONSTANT_SD * normals(seed, constant, 3)[0]
     inside = slice(None) if task.tiling is None else task.tiling.is_inside(points, task.index)
-    names, (cell, t) = _names(SAMPLE, seen[inside, None]), cells.locate(points[inside])
+    names = _names(SAMPLE, seen[inside, None])
     # Phi^T e with white e has covariance Phi^T Phi, as the samples' information does.
     white = np.stack([normals(seed, names, 3) for seed in seeds], axis=2)
-    add_right_hand_sides(cell, t, white, cells.cell_nodes, FIRST, z[:m])
-    z[m:] += white.sum(axis=0)
-    return z
+    return z + right_hand_sides(cells, points[inside], white)
 
 
 @lru_cache(maxsize=8)
@@ -102,38 +100,20 @@ def _names(kind: int, labels: np.ndarray) -> np.ndarray:
 
 def _mixed(x: np.ndarray) -> np.ndarray:
     """Scramble the bits of 64-bit numbers (splitmix64 by Steele, Lea and Flood 2014)."""
-    x = x + np.uint64(0x9E3779B97F4A7C15)
+    x = x + _STEP
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.asarray(x ^ (x >> np.uint64(31)))
 
 
 def normals(seed: int, names: np.ndarray, count: int) -> np.ndarray:
-    """Standard normal numbers that depend on seed and name alone: (n, count)."""
+    """Standard normal numbers that depend on seed and name alone, (n, count): by Box and Muller's transform."""
     start = _mixed(names ^ _mixed(np.full(1, seed % 2**64, dtype=np.uint64)))
-    out = np.empty((len(names), count))
-    fill_normals(start, out)
-    return out
-
-
-@compiled
-def fill_normals(start: np.ndarray, out: np.ndarray) -> None:
-    """Fill each row by Box and Muller's transform of a splitmix64 stream from its start."""
-    for i in range(out.shape[0]):
-        state = start[i]
-        for j in range(0, out.shape[1], 2):
-            u = np.empty(2)
-            for k in range(2):
-                state += np.uint64(0x9E3779B97F4A7C15)
-                x = state
-                x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-                x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-                x = x ^ (x >> np.uint64(31))
-                u[k] = (np.float64(x >> np.uint64(11)) + 0.5) / 9007199254740992.0
-            radius = np.sqrt(-2.0 * np.log(u[0]))
-            out[i, j] = radius * np.cos(2 * np.pi * u[1])
-            if j + 1 < out.shape[1]:
-                out[i, j + 1] = radius * np.sin(2 * np.pi * u[1])
+    bits = _mixed(start[:, None] + _STEP * np.arange(count + count % 2, dtype=np.uint64))
+    u = ((bits >> np.uint64(11)).astype(np.float64) + 0.5) / 2.0**53
+    radius, angle = np.sqrt(-2 * np.log(u[:, 0::2])), 2 * np.pi * u[:, 1::2]
+    both = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2)
+    return np.asarray(both.reshape(len(names), -1)[:, :count])
 
 
 @compiled

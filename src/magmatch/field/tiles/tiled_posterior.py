@@ -19,19 +19,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.linear_model import Axes, Index, Piece
+from magmatch.field.linear_model import Index, Piece
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
-from magmatch.field.tiles.blending import (
-    Blend,
-    Share,
-    blended_covariance,
-    blended_values,
-    products,
-    tile_shares,
-)
-from magmatch.field.tiles.tile_cache import TileCache
-from magmatch.field.tiles.tile_fit import TileTasks
+from magmatch.field.tiles.blending import Share, blended_covariance, blended_values, tile_shares
+from magmatch.field.tiles.tile_fit import TileCache, TileTasks
 from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
@@ -94,22 +86,6 @@ class TiledPosterior:
             return self.tile(number).evaluate(p, order, drawn)
 
         return blended_values(points, order, self.constant, self._shares(points, order), evaluate)
-
-    def evaluate_on_grid(self, axes: Axes, order: int = 0) -> FieldValues:
-        """Field and derivatives on the grid spanned by three ascending axes, tile by tile, axis after axis."""
-        shape = (len(axes[0]), len(axes[1]), len(axes[2]))
-        total, flat = Blend(int(np.prod(shape)), order, self.constant), np.arange(np.prod(shape)).reshape(shape)
-        for number, index in enumerate(self.tiles):
-            part = tuple(self.tiling.support(x, i) for x, i in zip(axes, index, strict=True))
-            rows = flat[part].ravel()
-            if len(rows) == 0:
-                continue
-            local = (axes[0][part[0]], axes[1][part[1]], axes[2][part[2]])
-            along = [self.tiling.axis_weights(x, i) for x, i in zip(local, index, strict=True)]
-            places = np.indices(flat[part].shape).reshape(3, -1)
-            shares = products([[w[k] for w in one] for one, k in zip(along, places, strict=True)], order)
-            total.add(rows, shares, self.tile(number).evaluate_on_grid(local, order))
-        return total.values()
 
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Bound of the posterior covariance of field (and gradient) at each point.

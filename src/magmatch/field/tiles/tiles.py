@@ -102,11 +102,6 @@ class Tiling:
         scale = 1.0 / (2 * self.blend * self.spacing)
         return [(r - f) * scale**k for k, (r, f) in enumerate(zip(rise, fall, strict=True))]
 
-    def support(self, x: Scalars, number: int) -> slice:
-        """Part of an ascending axis on which a tile has a say."""
-        v = self._coordinate(x) - number * self.core
-        return slice(int(np.searchsorted(v, -self.blend)), int(np.searchsorted(v, self.core + self.blend)))
-
     def _coordinate(self, points: Points) -> np.ndarray:
         """Position in cells, counted from the first cell of tile 0."""
         return lattice_coordinate(np.asarray(points), self.spacing) + self.core // 2

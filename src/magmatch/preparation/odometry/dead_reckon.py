@@ -5,16 +5,94 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import butter, find_peaks, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
 from magmatch.data.trajectory import Trajectory
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, import_extra
 from magmatch.number_text import many
-from magmatch.preparation.odometry.attitude import attitude
 from magmatch.preparation.odometry.config import DeadReckoningConfig
-from magmatch.preparation.odometry.steps import LONGEST_STEP, Steps, find_steps
 from magmatch.typing import Indices, Scalars, Vectors
+
+# Steps: peaks of the vertical acceleration below this frequency (Hz), so far apart (s), so high above the valleys
+# beside them (m/s^2). People walk at 1.4 to 2.5 steps a second.
+STEP_FREQUENCY, STEP_INTERVAL, STEP_PROMINENCE = 3.0, 0.35, 1.0
+# Peaks further apart than this (s) are a stop, not a step.
+LONGEST_STEP = 1.2
+# Weinberg (2002), Analog Devices AN-602: a step is K (a_max - a_min)^(1/4) long; K in m^(3/4) s^(1/2), chosen on
+# routes 1 to 3 of IPIN's training logs of 2023.
+WEINBERG_FACTOR = 0.469
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Steps:
+    """Steps between consecutive peaks of the vertical acceleration."""
+
+    first: Indices  # (n,): rows between which each step was made
+    last: Indices  # (n,)
+    lengths: Scalars  # (n,), m: by Weinberg's rule
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    def within(self, pieces: Indices) -> "Steps":
+        """Those that begin and end in one piece; `pieces` numbers the rows."""
+        is_whole = pieces[self.first] == pieces[self.last]
+        return Steps(self.first[is_whole], self.last[is_whole], self.lengths[is_whole])
+
+    def speed(self, n: int, rate: float) -> Scalars:
+        """Speed of the walk at each of n rows, m/s: even within a step, 0 where none is made."""
+        change = np.zeros(n + 1)
+        speeds = self.lengths * rate / (self.last - self.first)
+        np.add.at(change, self.first, speeds)
+        np.add.at(change, self.last, -speeds)
+        speed: Scalars = np.maximum(np.cumsum(change)[:n], 0)
+        return speed
+
+
+def find_steps(vertical: Scalars, rate: float, scale: float = 1.0) -> Steps:
+    """Steps in the vertical acceleration (m/s^2, gravity taken off or not), ``rate`` times a second.
+
+    Length ``scale K (a_max - a_min)^(1/4)`` of the low-passed acceleration within the step (Weinberg 2002).
+    """
+    filter_ = butter(2, STEP_FREQUENCY, fs=rate, output="sos")
+    smooth = sosfiltfilt(filter_, vertical - np.median(vertical)) if len(vertical) > 20 else np.zeros(len(vertical))
+    apart = max(1, round(STEP_INTERVAL * rate))
+    peaks, _ = find_peaks(smooth, distance=apart, prominence=STEP_PROMINENCE)
+    first, last = peaks[:-1], peaks[1:]
+    is_step = last - first <= LONGEST_STEP * rate
+    first, last = first[is_step], last[is_step]
+    swings = np.array([np.ptp(smooth[i:j]) for i, j in zip(first, last, strict=True)])
+    return Steps(first, last, scale * WEINBERG_FACTOR * swings**0.25)
+
+
+# Rest, at which the gyroscope's bias is learned: turning and acceleration within these (deg/s, m/s^2) of their slow
+# parts. A phone held still in a hand trembles by 2 to 4 deg/s, so that VQF's 2 deg/s never hold (chosen on routes 1
+# to 3 of IPIN's training logs of 2023, as is the next).
+REST_TURNING_DEG, REST_ACCELERATION = 6.0, 1.0
+# How well one such rest tells the bias, deg/s: the hand itself turns; VQF's 0.03 are for a table.
+REST_BIAS_SD_DEG = 0.1
+
+
+def attitude(rate: Vectors, acceleration: Vectors, readings_per_second: float) -> Rotation:
+    """Smoothed orientations of the phone at even times, to a frame whose z is up.
+
+    From the gyroscope (rad/s) and the accelerometer (m/s^2, gravity included), phone's axes: VQF without its
+    magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of the gyroscope is
+    estimated at rest only: while walking it would absorb the swing of the arm, which made paths of the IPIN logs two
+    to four times worse.
+    """
+    vqf = import_extra("vqf", "dead reckoning", "odometry")
+    settings = {
+        "motionBiasEstEnabled": False, "restThGyr": REST_TURNING_DEG, "restThAcc": REST_ACCELERATION,
+        "biasSigmaRest": REST_BIAS_SD_DEG,
+    }  # fmt: skip
+    found = vqf.offlineVQF(
+        np.ascontiguousarray(rate), np.ascontiguousarray(acceleration), None, 1 / readings_per_second, settings
+    )
+    return Rotation.from_quat(found["quat6D"], scalar_first=True)
+
 
 log = logging.getLogger(__name__)
 

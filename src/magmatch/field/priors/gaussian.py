@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The published prior: a divergence-free Gaussian process over inducing points on a grid, plus a constant field."""
+"""The priors of Gaussian processes over inducing points on a grid, plus a constant field; the first is published."""
 
 from magmatch.field.inducing.inducing_prior import InducingPrior
-from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, GRADIENT, CurlFreeKernel, DivergenceFreeKernel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 
 # Three weights each: more take minutes.
@@ -14,3 +14,10 @@ class DivergenceFreePrior(InducingPrior):
 
     def __init__(self, most: int = MAX_INDUCING_POINTS, constant_sd: float = CONSTANT_SD) -> None:
         super().__init__("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, most, constant_sd)
+
+
+class CurlFreePrior(InducingPrior):
+    """Minus the gradient of a potential (Solin et al. 2018): curl-free exactly; one weight an inducing point."""
+
+    def __init__(self) -> None:
+        super().__init__("curl_free", CurlFreeKernel, GRADIENT, 3 * MAX_INDUCING_POINTS)
