@@ -8,10 +8,10 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.values import FieldValues
-from magmatch.geometry import exp_se3, perturbation, random_transform, transform_error
+from magmatch.geometry import exp_se3, random_transform, transform_error
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.prepared.raster import rasterize
-from magmatch.registration.refine.refinement import RefinementConfig, look_up, refine, residual_jacobian
+from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.search.invariant_search import InvariantSearchConfig, distinct_poses, invariant_search
 from magmatch.registration.weigh.cells import (
@@ -100,17 +100,17 @@ def test_swapping_base_and_target_inverts_the_pose(prepared_pair, level):
 
 def test_jacobian_is_the_derivative_of_the_residual(prepared_pair):
     base, target, T_true = prepared_pair
-    center, sensor = target.samples.mean(axis=0), identical_sensors(SensorConfig(mode="scale"), 1)
+    sensor = identical_sensors(SensorConfig(mode="scale"), 1)
+    pose = RefinedPose(T_true, target.samples.mean(axis=0), sensor, np.ones(4), np.zeros((6, 6)), ())
     rows = np.arange(0, 800, 8), np.arange(0, 800, 8)
 
     def residuals(xi):
-        moved = T_true * perturbation(xi[:6], center)
-        return [side.residual for side in look_up(base, target, moved, sensor.stepped(xi[6:]), rows)]
+        return [side.residual for side in look_up(base, target, pose.stepped(xi), rows)]
 
     steps = np.diag([1e-5] * 6 + [1e-9] * 3 + [1e-6])
-    for k, side in enumerate(look_up(base, target, T_true, sensor, rows)):
+    for k, side in enumerate(look_up(base, target, pose, rows)):
         numeric = np.stack([(residuals(e)[k] - residuals(-e)[k]) / (2 * e.max()) for e in steps], axis=2)
-        J = residual_jacobian(side, center, sensor)
+        J = residual_jacobian(side, pose)
         assert np.all(np.abs(numeric - J).max(axis=(0, 1)) < 1e-5 * np.abs(J).max(axis=(0, 1)))
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi_square
 from scipy.stats import multivariate_normal
 
-from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.candidate_poses import CandidatePoses
 from magmatch.estimation.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
@@ -178,7 +178,7 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     poses = [T, T * about(rng, 2.5), T * RigidTransform.from_translation([9.0, 0, 0])]
     R = np.array([P.rotation.as_matrix() for P in poses])
     pb = np.array([P.apply(a) for P, a in zip(poses, anchors, strict=True)])
-    given = Hypotheses(R, pb, np.arange(3), anchors)
+    given = CandidatePoses(R, pb, np.arange(3), anchors)
     found = prior.narrow(given, CENTER, (0.01, 0.01), rng)
     R, pb, rows, about_these = found
     assert about_these is anchors

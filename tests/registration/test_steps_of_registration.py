@@ -18,11 +18,11 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.pair import Pair
 from magmatch.registration.register import register
 from magmatch.registration.result import Links, Status
 from magmatch.registration.search.candidate import SearchResult
-from magmatch.registration.steps import register_once, settle_and_decide
-from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.steps import Weighed, register_once, settle_and_decide
 from magmatch.registration.weigh.bend import Bend
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate

@@ -14,7 +14,7 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.candidate_poses import CandidatePoses
 from magmatch.estimation.prior_rows import add_height, add_pose, add_vertical, rule_out_far
 from magmatch.geometry import perturbation, product, rotation_matrix
 from magmatch.settings import Settings
@@ -213,8 +213,8 @@ class PosePrior:
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(
-        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
-    ) -> Hypotheses:
+        self, poses: CandidatePoses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
+    ) -> CandidatePoses:
         """Remove hypotheses that the prior rules out, and add poses about a rough one, at the same anchors.
 
         ``slack`` (rad, m): standard deviations of the poses themselves.
@@ -225,7 +225,7 @@ class PosePrior:
         drawn, moved = self.draw(self._n_drawn(slack), center, rng)
         rows = np.arange(len(drawn), dtype=np.int64) % len(poses.anchors_target)
         anchors = moved + np.einsum("nij,nj->ni", drawn, poses.anchors_target[rows] - center)
-        return Hypotheses(
+        return CandidatePoses(
             np.concatenate([kept.rotations, drawn]),
             np.concatenate([kept.anchors_base, anchors]),
             np.concatenate([kept.anchor_rows, rows]),

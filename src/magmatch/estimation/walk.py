@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.estimation.cubes import COARSER, FEW_POINTS, even_choice
-from magmatch.estimation.hypotheses import OUTLIER_SHARE
 from magmatch.typing import Indices, Points, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.

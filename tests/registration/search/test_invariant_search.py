@@ -14,7 +14,7 @@ from magmatch.registration.search.invariant_search import (
     InvariantSearchConfig,
     choose_anchors,
     distinct_poses,
-    frame_hypotheses,
+    frame_poses,
     invariant_search,
     judging_samples,
     similar_points,
@@ -35,7 +35,7 @@ def pair():
 
 def test_frames_of_one_point_seen_twice_are_aligned_by_the_turn_between(pair):
     rows = np.arange(200)
-    poses = frame_hypotheses(*pair, rows, rows[:, None])
+    poses = frame_poses(*pair, rows, rows[:, None])
     np.testing.assert_allclose(poses.rotations, np.tile(rotation_matrix(T_TRUE), (200, 1, 1)), atol=1e-6)
 
 

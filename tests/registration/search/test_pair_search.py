@@ -14,8 +14,7 @@ from magmatch.estimation.walk import bin_along_path, choose_search, walk_of
 from magmatch.geometry import exp_se3, log_se3, perturbation, random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, WalkConfig
-from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.index.walk_index import index_walks
+from magmatch.registration.index.map_index import MapIndex, index_walks
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.result import Status
 from magmatch.registration.search.pair_search import pair_search

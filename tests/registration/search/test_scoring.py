@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
 from hand_made import EARTH, box, prepared_map, seen_from, some_field, turn_about
-from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.candidate_poses import CandidatePoses
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.search.scoring import expected_variance, mixture_ratio, score_poses, weigh_samples
 
@@ -32,7 +32,7 @@ def score(base, target, poses, anchors, rows=None):
     R = np.stack([rotation_matrix(T) for T in poses])
     pb = np.stack([T.apply(a) for T, a in zip(poses, anchors, strict=True)])
     rows = np.tile(np.arange(len(target.samples)), (len(poses), 1)) if rows is None else rows
-    tried = Hypotheses(R, pb, np.arange(len(poses)), anchors)
+    tried = CandidatePoses(R, pb, np.arange(len(poses)), anchors)
     return score_poses(tried, rows, weigh_samples(base, target), base, SD_TURN, SD_SHIFT, EPS)
 
 

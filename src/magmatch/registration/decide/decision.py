@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from magmatch.estimation.hypothesis import Hypothesis
-from magmatch.estimation.posterior import RIGHT_WITHIN, Posterior, needed_evidence
+from magmatch.estimation.posterior import RIGHT_WITHIN, Hypothesis, Posterior, needed_evidence
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.result import Status
 from magmatch.settings import Settings

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from magmatch.compiled import compiled, compiled_ahead, record
-from magmatch.estimation.hypotheses import OUTLIER_SHARE
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors

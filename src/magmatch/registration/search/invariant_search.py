@@ -8,9 +8,9 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import ndtri
 
 from magmatch.compiled import compiled_ahead
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE, CandidatePoses, pose_inaccuracy, same_pose
 from magmatch.estimation.cubes import FEW_POINTS, RANKING_POINTS, SAMPLING
 from magmatch.estimation.distinct import distinct_poses
-from magmatch.estimation.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
 from magmatch.estimation.path_noise import N_DRAWS
 from magmatch.estimation.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.features.invariants import point_frames
@@ -51,7 +51,7 @@ def invariant_search(
     neighbours = similar_points(base, target, anchors, n_neighbours)
     tell(f"scoring {neighbours.size} hypotheses")
     evidence = weigh_samples(base, target)
-    poses = frame_hypotheses(base, target, anchors, neighbours)
+    poses = frame_poses(base, target, anchors, neighbours)
     rows = judging_samples(poses.anchors_target, target, FEW_POINTS, rng)
     length = common_length(base, target)
     sd, same = pose_inaccuracy(length), same_pose(length)
@@ -135,7 +135,7 @@ def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: i
 
 
 def best_admitted(
-    poses: Hypotheses, scores: Scalars, prior: PosePrior, center: Vector3, length: float
+    poses: CandidatePoses, scores: Scalars, prior: PosePrior, center: Vector3, length: float
 ) -> tuple[RigidTransform, ...]:
     """The best distinct poses, as many as are handed on, of those that a prior admits; ``center`` is the target's."""
     moved = poses.carry(center)
@@ -145,10 +145,10 @@ def best_admitted(
     return tuple(poses.pose(k, moved[k], center) for k in keep[np.isfinite(scores[keep])].tolist())
 
 
-def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:
+def frame_poses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> CandidatePoses:
     """Poses that map each anchor and its frame onto each of its neighbours (a, k) and their frames."""
     rows, base_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1]), neighbours.ravel()
     base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
     target_frames = point_frames(target.point_field, target.point_gradient)[anchors[rows]]
     R: Tensors = base_frames @ np.swapaxes(target_frames, 1, 2)
-    return Hypotheses(R, base.points[base_rows], rows, target.points[anchors])
+    return CandidatePoses(R, base.points[base_rows], rows, target.points[anchors])

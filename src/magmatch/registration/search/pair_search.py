@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE, CandidatePoses, pose_inaccuracy, same_pose
 from magmatch.estimation.cubes import COARSER, FEW_POINTS, SAMPLING, even_choice, thin
 from magmatch.estimation.distinct import distinct_poses
-from magmatch.estimation.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
 from magmatch.estimation.pose_prior import MORE_NEIGHBOURS, PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
@@ -101,7 +101,7 @@ def pair_search(
     center, sd, same = walk.positions.mean(axis=0), pose_inaccuracy(table.length), same_pose(table.length)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     similar, _ = table.nearest(invariants_of(walk, i, j), n_neighbours)
-    found = hypotheses(table, walk, i, j, similar)
+    found = pair_poses(table, walk, i, j, similar)
     poses = prior.narrow(found, center, sd, rng)
     if not len(poses.rotations):
         return SearchResult()
@@ -140,7 +140,7 @@ def invariants_of(walk: Walk, i: Indices, j: Indices) -> Matrix:
     return pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
 
 
-def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:
+def pair_poses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> CandidatePoses:
     """Poses that put each of the walk's pairs onto base pairs (n, k), each about the middle of its pair."""
     middles = (walk.positions[i] + walk.positions[j]) / 2
     a, b = table.first[similar.ravel()], table.second[similar.ravel()]
@@ -154,7 +154,7 @@ def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: In
         table.sd_position,
         table.sd_field,
     )
-    return Hypotheses(R, (table.positions[a] + table.positions[b]) / 2, rows, middles)
+    return CandidatePoses(R, (table.positions[a] + table.positions[b]) / 2, rows, middles)
 
 
 def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices, Indices]:

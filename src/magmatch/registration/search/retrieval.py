@@ -14,12 +14,12 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.estimation.hypotheses import OUTLIER_SHARE, pose_inaccuracy
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE, pose_inaccuracy
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.invariant_search import (
     choose_anchors,
-    frame_hypotheses,
+    frame_poses,
     judging_samples,
     similar_points,
 )
@@ -27,8 +27,8 @@ from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     PairTable,
     choose_pairs,
-    hypotheses,
     invariants_of,
+    pair_poses,
 )
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
@@ -100,7 +100,7 @@ class Question(NamedTuple):
         if not len(self.first) or not len(table.first):
             return 0.0
         similar, distance2 = table.nearest(self.invariants, n_neighbours)
-        poses = hypotheses(table, self.walk, self.first, self.second, similar)
+        poses = pair_poses(table, self.walk, self.first, self.second, similar)
         centers = poses.carry(self.walk.positions.mean(axis=0))
         weights, angle, distance = _weights(distance2).ravel(), SAME_ROTATION, SAME_PLACE * table.length
         largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
@@ -120,7 +120,7 @@ def count_agreement(bases: Iterable[PreparedMap], target: PreparedMap, seed: int
 def _best_score(base: PreparedMap, target: PreparedMap, rng: np.random.Generator) -> float:
     anchors = choose_anchors(target, N_ANCHORS, rng)
     neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS)
-    poses = frame_hypotheses(base, target, anchors, neighbours)
+    poses = frame_poses(base, target, anchors, neighbours)
     judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
     sd = pose_inaccuracy(common_length(base, target))
     scores = score_poses(poses, judges, weigh_samples(base, target), base, *sd, OUTLIER_SHARE)

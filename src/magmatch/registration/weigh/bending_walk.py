@@ -18,21 +18,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.estimation.bending import Bending, bending_of
-from magmatch.estimation.hypotheses import N_REFINED
-from magmatch.estimation.hypothesis import in_order
+from magmatch.estimation.candidate_poses import N_REFINED, pose_inaccuracy
+from magmatch.estimation.gauss_newton import perturbed, shortened
 from magmatch.estimation.model_prior import EACH_RATE, RATES
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.posterior import in_order
 from magmatch.estimation.walk import MIN_BINS, Walk
 from magmatch.estimation.walk_null_model import UnrelatedWalk
 from magmatch.estimation.walk_rows import N_COLUMNS, residual_rows
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
 from magmatch.typing import Mask, Matrix, Points, Vector3
 
@@ -77,7 +77,7 @@ class BendingWalk:
     def _fit(self, start: RigidTransform, rate: float) -> LineEvidence | None:
         """Take Gauss-Newton steps of a pose; the walk's shape is integrated out."""
         R, p = rotation_matrix(start), start.apply(self._center)
-        longest = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
+        longest = np.repeat(pose_inaccuracy(self.length), 3)
         factor, seen = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
         for step in range(N_STEPS + 1):
             known, points, rows, slopes = self._rows(R, p)
@@ -91,9 +91,8 @@ class BendingWalk:
             known_before, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
             told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
             if step < N_STEPS:
-                xi = -np.linalg.solve(told + known_before, J.T @ r + slope)
-                xi /= max(1.0, float(np.abs(xi / longest).max()))
-                p, R = p + R @ xi[3:], R @ Rotation.from_rotvec(xi[:3]).as_matrix()
+                xi = shortened(-np.linalg.solve(told + known_before, J.T @ r + slope), longest)
+                R, p = (moved[0] for moved in perturbed(R[None], p[None], xi[None]))
         n_free, chi2 = 3 * int(known.sum()) - 6, float(r @ r)
         covariance = np.linalg.inv(told / max(1.0, chi2 / n_free) + known_before)
         rest = (

@@ -15,10 +15,11 @@ from pydantic import Field
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.estimation.hypotheses import N_REFINED, OUTLIER_SHARE
-from magmatch.estimation.hypothesis import Kind
+from magmatch.estimation.candidate_poses import N_REFINED, OUTLIER_SHARE, pose_inaccuracy
+from magmatch.estimation.gauss_newton import perturbed, shortened
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import FAR2, PosePrior
+from magmatch.estimation.posterior import Kind
 from magmatch.estimation.walk import MIN_BINS, Walk
 from magmatch.estimation.walk_null_model import UnrelatedWalk
 from magmatch.estimation.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
@@ -26,7 +27,6 @@ from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -155,14 +155,12 @@ class _LeastSquares:
 
         In full, the walk's shape is fitted too: the field is not linear over as far as odometry may bend it.
         """
-        scale = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
         errors = np.zeros((len(R), 0 if self.bending is None else self.bending.shape[2]))
         for _ in range(n_steps):
             fits, v, errors_after = self._evaluate(R, p, errors, strain, is_full=is_full)
             xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
-            xi /= np.maximum(1.0, np.abs(xi / scale).max(axis=1))[:, None]
-            p = p + np.einsum("hij,hj->hi", R, xi[:, 3:])
-            R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+            xi = shortened(xi, self.longest)
+            R, p = perturbed(R, p, xi)
             if is_full and self.bending is not None:
                 errors = errors_after(xi)
         return self._evaluate(R, p, errors, strain, is_full=is_full)[0]
@@ -194,8 +192,7 @@ class _LeastSquares:
         half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
         products = np.swapaxes(white, 1, 2) @ white
         chi2, v = products[:, 0, 0], products[:, 1:, 0]
-        free = FREE_SDS * np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
-        information = products[:, 1:, 1:] + np.diag(free**-2)
+        information = products[:, 1:, 1:] + np.diag((FREE_SDS * self.longest) ** -2)
         prior_information, slope, prior_chi2 = self.prior.rows_of_many(R, p, self.center)
         information, v = information + prior_information, v + slope
 
@@ -246,6 +243,11 @@ class _LeastSquares:
         """Covariances, to which is added what all components have alike."""
         add_alike(C, *self._alike, self.noise.map_factor * sd, self.noise.nugget_sd**2)
         return C
+
+    @property
+    def longest(self) -> np.ndarray:
+        """Longest step, (6,): as far as a start may be off."""
+        return np.repeat(pose_inaccuracy(self.length), 3)
 
     @cached_property
     def _alike(self) -> tuple[Matrix, Matrix]:

@@ -31,7 +31,7 @@ def same_pose(length: float) -> tuple[float, float]:
     return SAME_POSE_SDS * turn, SAME_POSE_SDS * shift
 
 
-class Hypotheses(NamedTuple):
+class CandidatePoses(NamedTuple):
     """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``."""
 
     rotations: Tensors  # (h, 3, 3)
@@ -57,4 +57,4 @@ class Hypotheses(NamedTuple):
         return transform_of(R, p_base - R @ p_target)
 
 
-HYPOTHESES = record(Hypotheses, "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1]")
+CANDIDATE_POSES = record(CandidatePoses, "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1]")
