@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.typing import Matrix, Points, Scalars, Tensors
 
-# Steps end when one moves the estimate by less than this many of its standard deviations, or after so many.
-CLOSE, MOST_STEPS = 0.1, 10
+# Steps end when one moves the estimate by less than this many of its standard deviations.
+CLOSE = 0.1
 # Degrees of freedom of the Student-t model of residuals: outliers lose weight, inliers keep it.
 STUDENT_DOF = 4.0
 

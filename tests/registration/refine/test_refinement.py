@@ -6,24 +6,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
 
 from hand_made import Polynomial, box, prepared_map, some_field, turn_about
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.geometry import rotation_matrix
-from magmatch.registration.prepared.drift import Drift, field_variance
+from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.refine.refinement import (
     RefinedPose,
     RefinementConfig,
     ResidualBlock,
     compare,
-    information_of,
     look_up,
     overdispersion,
     refine,
     residual_jacobian,
     residual_weights,
-    some_rows,
     step_between,
 )
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
@@ -70,12 +67,6 @@ def test_residuals_of_both_sides_are_in_the_targets_axes():
     np.testing.assert_allclose(backward.residual, expected, atol=1e-17)
 
 
-def test_positions_that_are_off_on_either_side_widen_what_is_expected_of_both():
-    base, target = pair_of(drifts=(0.03, 0.04))
-    for side in both(base, target, RigidTransform.identity())[0]:
-        np.testing.assert_allclose(side.sd**2, field_variance(side.gradient, 0.05**2), rtol=1e-9)
-
-
 def test_a_block_holds_the_gradient_and_the_curvature_of_the_student_likelihood():
     """Scores and curvature against finite differences in the shift; large residuals bend it less than they weigh."""
     base, target = pair_of(n=60)
@@ -116,16 +107,6 @@ def test_the_curvature_is_that_of_the_likelihood_averaged_over_directions():
     r[:, 0] = np.sqrt(residual2)
     bends = sum(loss(r + h * e) + loss(r - h * e) - 2 * loss(r) for e in np.eye(3)) / (3 * h**2)
     np.testing.assert_allclose(weight * bend, bends, rtol=1e-5)
-
-
-def test_a_residuals_variance_is_what_residuals_show_beyond_the_maps_spread_and_the_maps_own_there():
-    r2 = np.full(100, 5.0 * chi2.median(3))
-    sd = np.concatenate([np.full(99, 1.0), [3.0]])
-    weight, _ = residual_weights(r2, sd, 1.0)
-    V = np.where(sd > 1, 4.0 + 9.0, 4.0 + 1.0)
-    np.testing.assert_allclose(weight, 7 / (4 + r2 / V) / V, rtol=1e-12)
-    calm, _ = residual_weights(r2, np.full(100, 3.0), 1.0)
-    np.testing.assert_allclose(calm, 7 / (4 + r2 / 10) / 10, rtol=1e-12)
 
 
 def test_in_a_uniform_field_refinement_ends_at_the_priors_pose():
@@ -197,17 +178,3 @@ def test_sums_over_cells_scatter_as_samples_do_where_those_are_independent_and_m
     J[:] = 1 + 0.1 * J
     # One direction of six, of as many samples as a cell holds.
     assert excess(rng.normal(size=125)[cell]) == pytest.approx(n / 125 / 6, rel=0.3)
-
-
-def test_information_adds_up_and_rows_are_drawn_once_each():
-    base, target = pair_of(n=50)
-    blocks = both(base, target, RigidTransform.identity())[1]
-    np.testing.assert_allclose(information_of(blocks), blocks[0].information + blocks[1].information)
-    few = RefinementConfig(n_samples=20)
-    of_target, of_base = some_rows(base, target, few, np.random.default_rng(0))
-    for rows in (of_target, of_base):
-        assert len(set(rows.tolist())) == 20
-        assert (np.diff(rows) > 0).all()
-    ranking = RefinementConfig(n_samples=300).for_ranking()
-    assert (ranking.n_samples, ranking.n_steps) == (300, 10)
-    assert RefinementConfig().for_ranking().n_samples == 600

@@ -59,13 +59,6 @@ def test_no_step_is_longer_than_three_times_what_is_granted(pair):
     assert np.linalg.norm(pb - ANCHOR - [0.5, 0, 0]) == pytest.approx(0.03, rel=1e-6)
 
 
-def test_damping_holds_a_pose_where_it_is(pair):
-    xi = np.array([0.01, 0.02, -0.01, 0.01, -0.02, 0.01])
-    R, pb, _ = annealed(pair, xi, [[0.05, 0.05]], damping=1e12)
-    np.testing.assert_allclose(R, rotation_matrix(turn_about(ANCHOR, xi)), atol=1e-6)
-    np.testing.assert_allclose(pb, ANCHOR + xi[3:], atol=1e-6)
-
-
 def test_a_pose_is_scored_as_the_search_scores_it(pair):
     base, target = pair
     schedule = [[0.05, 0.04], [0.02, 0.03]]

@@ -9,10 +9,10 @@ from scipy.spatial.distance import pdist
 
 from hand_made import box, prepared_map, some_field
 from magmatch.estimation.candidate_poses import CandidatePoses
+from magmatch.estimation.limits import N_CANDIDATES
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform, rotation_matrix
-from magmatch.registration.search.candidate import N_CANDIDATES
 from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     choose_pairs,

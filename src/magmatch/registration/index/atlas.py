@@ -14,6 +14,7 @@ from magmatch.data.formats.sniff import may_be_map
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.estimation.limits import MAX_LOADED
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
 from magmatch.progress import Progress, followed, tell
@@ -25,9 +26,6 @@ from magmatch.registration.search.retrieval import count_agreement, count_votes,
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
-
-# Maps that are kept in memory once they were needed.
-MAX_LOADED = 20
 
 
 @dataclass(frozen=True, eq=False, slots=True)

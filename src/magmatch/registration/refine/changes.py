@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
 from magmatch.estimation.candidate_poses import pose_inaccuracy
-from magmatch.estimation.gauss_newton import MOST_STEPS, is_close, shortened
+from magmatch.estimation.gauss_newton import is_close, shortened
+from magmatch.estimation.limits import CHANGE_SAMPLES, MOST_STEPS, N_CHANGED, N_CHARGES, N_STRENGTHS
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
 from magmatch.field.spline.spline_prior import CONSTANT_SD
@@ -33,8 +34,6 @@ DISTANCE = 0.6
 FADED = 1e-5
 # Factor on the pose's covariance because the same data selected the remaining charges (measured).
 SELECTION_INFLATION = 16.0
-# Updates of the charges' strengths per step of the pose.
-N_STRENGTHS = 4
 EPS = float(np.finfo(float).eps)
 
 
@@ -44,12 +43,10 @@ class ChangeConfig(Settings):
     is_enabled: bool = True
     # Misfit of the best pose's cells above which something may have moved: right poses without changes stay below it.
     max_misfit: float = Field(default=2.0, ge=0)
-    # Poses that are tried.
-    n_candidates: int = Field(default=2, ge=1)
-    # Samples compared, and maximum number of charges for the change: with half as many of both, the target's own
-    # field is described so badly that wrong poses win.
-    n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
-    n_charges: int = Field(default=400, ge=100)
+    # Poses that are tried; samples compared, and most charges for the change.
+    n_candidates: int = Field(default=N_CHANGED, ge=1)
+    n_samples: int = Field(default=CHANGE_SAMPLES, ge=MIN_SAMPLES)
+    n_charges: int = Field(default=N_CHARGES, ge=100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -17,9 +17,10 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
-from magmatch.estimation.candidate_poses import N_REFINED, pose_inaccuracy
-from magmatch.estimation.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
-from magmatch.estimation.gauss_newton import MOST_STEPS, STUDENT_DOF, is_close, shortened, student_weights
+from magmatch.estimation.candidate_poses import pose_inaccuracy
+from magmatch.estimation.cubes import sum_by_cube
+from magmatch.estimation.gauss_newton import STUDENT_DOF, is_close, shortened, student_weights
+from magmatch.estimation.limits import CLEAR, MOST_POINTS, MOST_STEPS, N_REFINED, RANKING_POINTS
 from magmatch.estimation.model_prior import SENSORS_DIFFER
 from magmatch.estimation.pose_prior import FAR2, PosePrior
 from magmatch.field.values import gradient_of
@@ -41,7 +42,7 @@ class RefinementConfig(Settings):
     n_steps: int = Field(default=MOST_STEPS, ge=1)
     # Best candidates to refine and compare; the others too if none of these has this much evidence, nats.
     n_candidates: int = Field(default=N_REFINED, ge=1)
-    clear_log_evidence: float = 50.0
+    clear_log_evidence: float = CLEAR
     # What may differ between the two magnetometers.
     sensor: SensorConfig = Field(default_factory=SensorConfig)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.gauss_newton import MOST_STEPS
+from magmatch.estimation.limits import MOST_STEPS
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import in_order
 from magmatch.progress import tell
