@@ -175,9 +175,14 @@ def numbers(root: Path) -> int:
     Those that were fitted count too; the published method and the format of results do not, nor does 0, which means
     none, nor what `NOT_CHOSEN` names.
     """
+    return sum(numbers_by_file(root).values())
+
+
+def numbers_by_file(root: Path) -> Counter[str]:
+    """`numbers` of each file, by its name."""
     rooms = [root / "src/magmatch" / name for name in ("registration", "estimation")]
     fitted = [json.loads(path.read_text(encoding="utf-8")) for room in rooms for path in room.rglob("fitted.json")]
-    count = sum(len(law["offset"]) + ("scale" in law) + ("saturation" in law) for law in fitted)
+    count = Counter({"fitted": sum(len(law["offset"]) + ("scale" in law) + ("saturation" in law) for law in fitted)})
     for path in (path for room in rooms for path in room.rglob("*.py")):
         if path.parent.name == "published" or path.name in ("result.py", "mapped_arrays.py"):
             continue
@@ -188,7 +193,7 @@ def numbers(root: Path) -> int:
             if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "Field":
                 value = next((word.value for word in value.keywords if word.arg == "default"), None)
             found = [] if value is None else [n.value for n in walk_outside(value) if isinstance(n, ast.Constant)]
-            count += sum(type(number) in (int, float) and number != 0 for number in found)
+            count[path.stem] += sum(type(number) in (int, float) and number != 0 for number in found)
     return count
 
 
@@ -286,6 +291,7 @@ def figures(root: Path) -> dict[str, object]:
         "settings of registration": asked_inside(root, "settings"),
         "calls of isinstance": asked_kinds(root),
         "numbers chosen in registration": numbers(root),
+        "of them limits of effort": numbers_by_file(root)["limits"],
         "further numbers inside its functions": unnamed_numbers(root),
         "names of the package": asked_inside(root, "exported"),
         "public functions and classes": public_names(root),

@@ -18,7 +18,7 @@ from slam_lanes import floor_field, lanes
 
 import magmatch as mm
 from magmatch.geometry import rotation_matrix
-from magmatch.registration.index.walk_index import WalkIndex
+from magmatch.registration.index.map_index import WalkIndex
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams

@@ -36,8 +36,7 @@ from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import MapIndex, prepare_index
-from magmatch.registration.steps import settle_and_decide
-from magmatch.registration.strategies import strategies
+from magmatch.registration.steps import refine_and_weigh, settle_and_decide, strategies
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scene import SimulatedPair
 from magmatch.threads import one_blas_thread
@@ -103,7 +102,7 @@ def weighed(index: MapIndex, target: Survey | mm.FieldMap, samples: Survey, sear
     config, clock = CONFIG.model_copy(update={"search": search}), Clock()
     for strategy in strategies(index.length, target, samples, config, 0, clock):
         pair = strategy.pair(index)
-        found = strategy.refine_and_weigh(pair, strategy.search(pair))
+        found = refine_and_weigh(strategy, pair, strategy.search(pair))
         answer = settle_and_decide(found, config.decision, clock)
         tolerance = config.decision.tolerance(found.pair.length)
         poses = []

@@ -24,11 +24,10 @@ from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked, random_transform, transform_points
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
-from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.index.walk_index import index_walks
+from magmatch.registration.index.map_index import MapIndex, index_walks
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import tabulate_pairs
-from magmatch.registration.steps import settle_and_decide
+from magmatch.registration.steps import refine_and_weigh, settle_and_decide
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, pose_error, timed
@@ -93,7 +92,7 @@ def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.Registration
     clock = Clock()
     strategy = WalkStrategy(target, target, CONFIG, seed)
     pair = strategy.pair(index)
-    weighed = strategy.refine_and_weigh(pair, strategy.search(pair))
+    weighed = refine_and_weigh(strategy, pair, strategy.search(pair))
     return settle_and_decide(weighed, CONFIG.decision, clock)
 
 

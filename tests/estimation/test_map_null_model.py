@@ -16,7 +16,6 @@ from magmatch.estimation.map_null_model import (
     CellMeans,
     NullModel,
     UnrelatedField,
-    average_cells,
 )
 from magmatch.threads import one_blas_thread
 
@@ -38,33 +37,6 @@ def model_of(n=12, noise=1e-14, variance=2.5e-11, length=0.5, roughness=0.0, see
     K = rational_quadratic(cells.centers, length, variance)
     field = np.linalg.cholesky(K + noise * np.eye(n)) @ np.random.default_rng(seed).standard_normal((n, 3))
     return NullModel(cells, 3e-5 + field, K, np.full(n, noise), roughness)
-
-
-def test_cells_are_means_of_their_samples():
-    x = RNG.uniform(-2, 2, (200, 3))
-    cells = average_cells(x, 1.0)
-    keys = [tuple(c) for c in np.floor(x).astype(int)]
-    values = RNG.normal(size=(200, 2))
-    assert len(cells.counts) == len(set(keys))
-    for k in range(len(cells.counts)):
-        rows = np.flatnonzero(cells.cell == k)
-        assert len({keys[r] for r in rows}) == 1
-        assert cells.counts[k] == len(rows)
-        np.testing.assert_allclose(cells.centers[k], x[rows].mean(axis=0))
-        np.testing.assert_allclose(cells.mean(values)[k], values[rows].mean(axis=0))
-        np.testing.assert_array_equal(cells.holds(np.array([k])), cells.cell == k)
-    assert not cells.holds(np.zeros(0, dtype=int)).any()
-
-
-def test_of_too_many_cells_an_even_choice_is_kept_and_samples_of_the_others_belong_to_none():
-    x = np.stack([np.arange(400) + 0.5, np.zeros(400), np.zeros(400)], axis=1)
-    cells = average_cells(x, 1.0)
-    kept = cells.centers[:, 0]
-    assert len(kept) == 150
-    assert np.ptp(np.diff(kept)) <= 1
-    assert {kept.min(), kept.max()} == {0.5, 399.5}
-    assert (cells.cell < 0).sum() == 250
-    assert cells.holds(np.arange(150)).sum() == 150
 
 
 def most_likely(cells, field, noise):

@@ -43,16 +43,6 @@ def some_path(n=5, seed=0):
     )
 
 
-def test_a_components_covariance_is_the_sum_of_what_lasts_what_is_shared_the_maps_own_and_each_bins():
-    _, d, sd, _, _ = some_path()
-    found = NOISE.isotropic(d, sd)
-    for i, j in np.ndindex(*d.shape):
-        expected = 1.1e-6**2 * np.exp(-d[i, j] / 0.8) + 0.5e-6**2
-        expected += 1.4**2 * sd[i] * sd[j] * np.exp(-(d[i, j] ** 2) / (2 * 0.6**2)) + (i == j) * 0.3e-6**2
-        np.testing.assert_allclose(found[i, j], expected, rtol=1e-12)
-    np.testing.assert_array_equal(NOISE.isotropic(d, np.stack([sd, sd]))[1], found)
-
-
 def test_a_smooth_misfit_is_a_matern_process_and_of_the_same_variance():
     _, d, sd, _, _ = some_path()
     smooth = replace(NOISE, is_smooth=True)
@@ -117,11 +107,6 @@ def test_larger_residuals_are_never_more_likely(low, high, n_free, spread):
     noise, (low, high) = replace(NOISE, spread=spread), sorted((low, high))
     assert noise.factor(low, n_free)[1] >= noise.factor(high, n_free)[1]
     assert noise.factor(low, n_free)[0] <= noise.factor(high, n_free)[0]
-
-
-def test_total_spread_and_what_is_a_guess():
-    assert NOISE.total_sd == pytest.approx(np.sqrt(1.1**2 + 0.3**2 + 0.5**2) * 1e-6)
-    assert [replace(NOISE, n_stretches=n).is_learned for n in (0, 4, 5)] == [False, False, True]
 
 
 def stretches_of(noise, n_stretches, seed, n=12, factors=None):

@@ -13,7 +13,6 @@ from hand_made import WeighedPose, turn_about
 from magmatch.estimation.posterior import (
     Fitted,
     effective_evidence,
-    fitted,
     log_odds,
     needed_evidence,
     posterior_over,
@@ -65,13 +64,6 @@ def test_prior_odds_act_as_odds(e, misfit, kind, odds):
     assert posterior.rivals == 0
 
 
-@given(many_apart, prior_odds, prior_odds, elsewheres)
-def test_what_was_believed_before_takes_no_side_between_poses(poses, one, other, elsewhere):
-    first, second = (posterior_over(poses, TOLERANCE, odds, elsewhere) for odds in (one, other))
-    for a, b in zip(first.probabilities, second.probabilities, strict=True):
-        assert a * second.best == pytest.approx(b * first.best, rel=1e-9, abs=1e-200)
-
-
 @given(low=evidences, high=evidences, misfit=misfits, worse=misfits, kind=kinds, numbers=laws)
 def test_more_evidence_and_less_misfit_are_never_less_probable(low, high, misfit, worse, kind, numbers):
     low, high = sorted((low, high))
@@ -105,23 +97,6 @@ def test_a_further_pose_takes_from_all_and_gives_to_none(poses, elsewhere):
 def test_evidence_against_a_pose_is_never_excused_by_misfit(e, misfit, kind, numbers):
     assert effective_evidence(e, misfit) == e
     assert log_odds(e, misfit, kind, numbers) == log_odds(e, 1.0, kind, numbers)
-
-
-@given(e=evidences, misfit=misfits)
-def test_residuals_as_expected_cost_nothing_and_smaller_ones_bring_nothing(e, misfit):
-    effective = effective_evidence(e, misfit)
-    assert effective <= e
-    if misfit <= 1:
-        assert effective == e
-    assert np.sign(effective) == np.sign(e)
-
-
-@given(e=st.floats(1, 1000), misfit=st.floats(1, 50), numbers=laws)
-def test_odds_are_those_of_the_law(e, misfit, numbers):
-    """In the law's own words: scale * asinh(evidence / misfit^2 / saturation) - offset."""
-    x = e / misfit**2 / numbers.saturation
-    expected = numbers.scale * np.log(x + np.sqrt(x * x + 1)) - numbers.offset["walk"]
-    assert log_odds(e, misfit, "walk", numbers) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @given(p=st.floats(1e-4, 1 - 1e-9), kind=kinds, odds=prior_odds)
@@ -168,12 +143,6 @@ def test_poses_within_tolerance_are_one_answer_and_the_most_probable_is_kept(xi,
     assert (posterior_over([best, other], TOLERANCE).best == alone.best) == is_one_answer
 
 
-def test_what_is_kept_is_the_more_probable_not_the_one_of_more_evidence():
-    strained = shifted(0.0, log_evidence=120.0, misfit=20.0)
-    plain = shifted(0.1, log_evidence=100.0)
-    assert posterior_over([strained, plain], TOLERANCE).poses == (plain,)
-
-
 def test_a_pose_near_a_rival_that_is_one_answer_with_the_best_is_a_rival_itself():
     best, near, beyond = shifted(0.0), shifted(0.4, log_evidence=190.0), shifted(0.8, log_evidence=180.0)
     assert posterior_over([beyond, near, best], TOLERANCE).poses == (best, beyond)
@@ -207,16 +176,6 @@ def test_chance_is_improbable_and_clear_evidence_is_not(kind):
     assert probability(150.0, misfit=0.6) > 0.9999
 
 
-def test_what_is_fitted_knows_every_kind_and_saturates():
-    numbers = fitted()
-    assert set(numbers.offset) == set(KINDS)
-    # Twice as much of clear evidence is less than twice the log odds.
-    for kind in KINDS:
-        assert log_odds(400.0, 1.0, kind) < 2 * log_odds(200.0, 1.0, kind)
-    with pytest.raises(ValueError, match="saturation"):
-        Fitted(scale=1.0, saturation=0.0, offset={"map": 0.0, "walk": 0.0})
-
-
 @given(e=st.floats(0, 300), gap=st.floats(-60, 60), misfit=st.floats(0.5, 3))
 def test_models_of_one_pose_add_up_and_poses_of_one_model_do_not(e, gap, misfit):
     rigid = shifted(0.0, log_evidence=e, misfit=misfit)
@@ -229,11 +188,6 @@ def test_models_of_one_pose_add_up_and_poses_of_one_model_do_not(e, gap, misfit)
     assert both.shares[0] == pytest.approx(np.exp(max(effective) - both.effective))
     (one,) = posterior_over([rigid, again], TOLERANCE).answers
     assert one.effective == max(effective)
-
-
-def test_a_lone_pose_has_the_evidence_that_it_has():
-    (answer,) = posterior_over([WeighedPose(log_evidence=123.4, misfit=0.9)], TOLERANCE).answers
-    assert (answer.effective, answer.shares) == (123.4, (1.0,))
 
 
 def test_models_of_a_pose_are_one_answer_where_it_is_known_less_well_than_is_asked():

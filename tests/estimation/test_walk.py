@@ -58,12 +58,6 @@ def test_samples_lie_on_a_line_where_they_spread_across_it_by_less_than_a_fifth_
     assert line_share(x, 0.5) == is_line
 
 
-def test_a_share_is_of_all_samples():
-    rng = np.random.default_rng(1)
-    x = np.concatenate([straight(300), [10.0, 0, 0] + rng.uniform(0, 1.5, (300, 3)) * [1, 1, 0]])
-    assert line_share(x, 0.4) == pytest.approx(0.5, abs=0.06)
-
-
 def test_a_short_line_is_searched_by_pairs_and_a_long_one_by_invariants():
     field = np.ones((9000, 3))
     assert choose_search(Survey(straight(9000, 40.0), field), 1.0) == "pairs"

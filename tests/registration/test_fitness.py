@@ -9,23 +9,12 @@ from magmatch.geometry import exp_se3, random_transform
 from magmatch.published.fitness import FitnessConfig, fitness, mean_misalignment
 
 
-def test_equal_directions_have_no_misalignment():
-    vectors = np.random.default_rng(0).normal(size=(20, 3))
-    assert mean_misalignment(vectors, 2 * vectors) < 1e-12
-
-
 @pytest.mark.parametrize(("angle_deg", "value"), [(30, 0.5), (90, 1.0), (150, 1.0), (180, 1.0)])
 def test_misalignment_is_the_sine_up_to_a_right_angle_and_full_beyond(angle_deg, value):
     a = np.radians(angle_deg)
     np.testing.assert_allclose(
         mean_misalignment(np.array([[3e-5, 0, 0]]), 5e-5 * np.array([[np.cos(a), np.sin(a), 0]])), value
     )
-
-
-def test_strong_vectors_weigh_more():
-    aligned = np.array([[4e-5, 0, 0], [1e-5, 0, 0]])
-    expected = np.array([[4e-5, 0, 0], [0, 1e-5, 0]])
-    np.testing.assert_allclose(mean_misalignment(aligned, expected), 1 / 17)
 
 
 def test_vanishing_fields_agree_with_nothing():

@@ -17,9 +17,8 @@ from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.cells import (
     null_models_of,
 )
-from magmatch.registration.weigh.covariance import drift_covariance, enclosing
+from magmatch.registration.weigh.covariance import drift_covariance, enclosing, map_covariance
 from magmatch.registration.weigh.evidence import Change, weigh_pose
-from magmatch.registration.weigh.map_covariance import map_covariance
 
 RNG = np.random.default_rng(0)
 FIELD = some_field(3, slope=10e-6)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi_square
-from scipy.stats import multivariate_normal
 
-from magmatch.estimation.hypotheses import Hypotheses
-from magmatch.estimation.pose_prior import FEWEST_DRAWN, MOST_DRAWN, PosePrior, PosePriorConfig, pose_prior
+from magmatch.estimation.candidate_poses import CandidatePoses
+from magmatch.estimation.limits import FEWEST_DRAWN, MOST_DRAWN
+from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import prepare_index
@@ -45,12 +45,6 @@ def test_the_gradient_is_that_of_half_the_squared_residual(seed, has_pose, is_al
     found = [(prior.rows(T * perturbation(step * e, CENTER), CENTER)[2] - chi2) / (2 * step) for e in np.eye(6)]
     # The rotation's Jacobian is of first order in the angle.
     np.testing.assert_allclose(slope, found, rtol=0.01, atol=0.02 * max(1.0, np.abs(slope).max()))
-
-
-def test_the_density_of_a_rough_pose_is_gaussian():
-    T, prior = some_prior(1, is_aligned=False)
-    expected = multivariate_normal(np.zeros(6), np.diag(SD**2)).logpdf(np.zeros(6))
-    assert prior.log_density(T, CENTER) == pytest.approx(expected)
 
 
 def test_knowing_the_vertical_leaves_the_turns_about_it():
@@ -178,7 +172,7 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     poses = [T, T * about(rng, 2.5), T * RigidTransform.from_translation([9.0, 0, 0])]
     R = np.array([P.rotation.as_matrix() for P in poses])
     pb = np.array([P.apply(a) for P, a in zip(poses, anchors, strict=True)])
-    given = Hypotheses(R, pb, np.arange(3), anchors)
+    given = CandidatePoses(R, pb, np.arange(3), anchors)
     found = prior.narrow(given, CENTER, (0.01, 0.01), rng)
     R, pb, rows, about_these = found
     assert about_these is anchors
@@ -195,16 +189,6 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     assert len(wide.narrow(given.subset(slice(0)), CENTER, (1.0, 1.0), rng)[0]) == 6 * 90
     flat = PosePrior(1.0)
     assert flat.narrow(given, CENTER, (0.1, 0.1), rng) is given
-
-
-def test_densities_pay_for_all_poses_for_turns_about_the_vertical_or_for_a_rough_pose():
-    T, upright = some_prior(8, has_pose=False)
-    assert PosePrior(5.0).log_density(T, CENTER) == pytest.approx(-np.log(5.0 * 8 * np.pi**2))
-    at_best = upright.log_density(T, CENTER)
-    assert at_best == pytest.approx(-np.log(20.0 * 2 * np.pi) - np.log(2 * np.pi * 0.02**2))
-    leaning = T * RigidTransform.from_rotation(Rotation.from_rotvec([0.02, 0.0, 0.0]))
-    chi2 = np.sum((leaning.rotation.inv().apply(upright.up_base) - upright.up_target) ** 2) / 0.02**2
-    assert upright.log_density(leaning, CENTER) == pytest.approx(at_best - 0.5 * chi2)
 
 
 def planar_prior(seed):

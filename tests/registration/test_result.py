@@ -136,14 +136,6 @@ def test_every_field_comes_back_to_the_bit(saved):
         assert getattr(after, name) == getattr(before, name), name
 
 
-def test_the_best_pose_is_the_accepted_one_or_the_best_candidate():
-    result = accepted()
-    assert result.best_pose is result.T_base_target
-    refused = RegistrationResult(Status.AMBIGUOUS, "two alike", None, alternatives=result.alternatives)
-    assert refused.best_pose is result.alternatives[0].T_base_target
-    assert RegistrationResult(Status.NO_OVERLAP, "nothing", None).best_pose is None
-
-
 @pytest.mark.parametrize("status", [s for s in Status if s is not Status.ACCEPTED])
 def test_refusal_has_no_transform_and_comes_back(tmp_path, status):
     refused = RegistrationResult(status, "too little structure", None, alternatives=accepted().alternatives)
@@ -178,12 +170,6 @@ def test_nan_is_written_as_null_and_stays_readable(tmp_path):
     assert len(after.links.base) == 1
     after.save(tmp_path / "s.json")
     assert (tmp_path / "s.json").read_text() == text
-
-
-def test_links_are_thinned_to_300(tmp_path):
-    points = np.arange(3000.0).reshape(-1, 3)
-    accepted(links=Links(points, points)).save(tmp_path / "r.json")
-    assert len(RegistrationResult.load(tmp_path / "r.json").links.base) == 300
 
 
 def test_what_json_cannot_hold_is_named(tmp_path):

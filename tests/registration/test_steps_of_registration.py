@@ -18,11 +18,11 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.pair import Pair
 from magmatch.registration.register import register
 from magmatch.registration.result import Links, Status
 from magmatch.registration.search.candidate import SearchResult
-from magmatch.registration.steps import register_once, settle_and_decide
-from magmatch.registration.strategy import Pair, Weighed
+from magmatch.registration.steps import Weighed, register_once, settle_and_decide
 from magmatch.registration.weigh.bend import Bend
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
@@ -67,6 +67,7 @@ class HandMadeStrategy:
     settled_covariance: np.ndarray = field(default_factory=lambda: 1e-4 * np.eye(6))
     bent: Bend | None = None
     asked: list = field(default_factory=list)
+    asked_to_bend: list = field(default_factory=list)
 
     def state(self, pair, pose):
         self.asked.append(("state", pose))
@@ -78,6 +79,7 @@ class HandMadeStrategy:
         return pair.estimate(settled), Support(residual=0.9, n_inliers=4, links=NO_LINKS)
 
     def bend(self, pair, pose):
+        self.asked_to_bend.append(pose)
         return self.bent
 
 
@@ -128,6 +130,15 @@ def test_what_a_target_bends_by_widens_the_answer_and_is_named_if_it_is_sure():
     assert "drift" in far.reason
 
 
+def test_halves_are_refined_where_there_is_evidence_for_the_place_alone():
+    strategy, there = HandMadeStrategy(), shifted(0.0, log_evidence=0.1)
+    decided([there], strategy=strategy)
+    assert strategy.asked_to_bend == [there]
+    result = decided([shifted(0.0, log_evidence=-3.0)], strategy=strategy)
+    assert strategy.asked_to_bend == [there]
+    assert result.alternatives[0].log_odds == -3.0
+
+
 def test_a_doubtful_pose_is_stated_as_it_was_weighed():
     strategy = HandMadeStrategy()
     best, rival = shifted(0.0, log_evidence=100.0), shifted(5.0, log_evidence=99.0)
@@ -161,13 +172,6 @@ def test_a_pose_elsewhere_takes_its_share_and_prior_odds_theirs():
     odds = 1e-11 * np.exp(log_odds(100.0, 1.0, "map"))
     assert not sceptical.is_accepted
     assert sceptical.probability == pytest.approx(odds / (1 + odds))
-
-
-def test_the_best_log_odds_of_a_pair_are_those_of_its_most_probable_pose():
-    poses = [shifted(0.0, log_evidence=210.0, misfit=12.0), shifted(5.0), shifted(7.0, kind="walk", log_evidence=3.0)]
-    best = Weighed(HandMadeStrategy(), PAIR, FOUND, poses).best_log_odds(DecisionConfig())
-    assert best == log_odds(200.0, 1.0, "map")
-    assert Weighed(HandMadeStrategy(), PAIR, FOUND, []).best_log_odds(DecisionConfig()) == -np.inf
 
 
 def test_without_a_pose_nothing_is_settled_and_the_answer_is_a_result():

@@ -9,8 +9,8 @@ from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.walk_index import WalkIndex
-from magmatch.registration.strategy import Pair
+from magmatch.registration.index.map_index import WalkIndex
+from magmatch.registration.pair import Pair
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 

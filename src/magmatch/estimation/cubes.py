@@ -3,17 +3,14 @@
 
 import numpy as np
 
+from magmatch.estimation.limits import COARSER, MOST_POINTS
 from magmatch.typing import Indices, Matrix, Points
 
 # Three lattice coordinates are packed into one integer, so many values a side (the hash of a larger place may
 # collide, which only merges two far cubes).
 _SIDE = int(np.cbrt(np.iinfo(np.int64).max))
-# Points or samples that stand for a survey: at most, for ranking a few poses, and for judging thousands.
-MOST_POINTS, RANKING_POINTS, FEW_POINTS = 4000, 600, 60
 # Share of the correlation length at which a field is sampled.
 SAMPLING = 0.25
-# Where there are too many points or pairs, the distance between them grows by this factor until there are not.
-COARSER = 1.2
 
 
 def cube_keys(points: Points, side: float) -> Indices:

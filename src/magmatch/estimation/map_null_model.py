@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from scipy.special import logsumexp
 
 from magmatch.estimation.cubes import cube_keys, even_choice
-from magmatch.estimation.walk import MAX_WEIGHED
+from magmatch.estimation.limits import MAX_WEIGHED
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Tried lengthscales (in the survey's correlation length) and strengths (in the cells' standard deviation), and this
@@ -138,12 +138,19 @@ class UnrelatedField:
 
     def between(self, distance2: Matrix) -> Matrix:
         """Covariance of one component between points, of their squared distances."""
-        return np.asarray(self.variance / (1 + distance2 / (2 * self.lengthscale**2)))
+        return rational_quadratic(distance2, self.lengthscale, self.variance)
 
     def over(self, cells: CellMeans, field: Vectors, noise: Scalars) -> NullModel:
         """Make it the null model of some cells."""
         covariance = self.between(cdist(cells.centers, cells.centers, "sqeuclidean"))
         return NullModel(cells, field, covariance, noise, self.roughness)
+
+
+def rational_quadratic(
+    distance2: Matrix, lengthscale: np.ndarray | float, variance: np.ndarray | float
+) -> np.ndarray:
+    """Covariance by squared distances: a mixture of lengthscales, as the field of sources at many distances is."""
+    return np.asarray(variance / (1 + distance2 / (2 * lengthscale**2)))
 
 
 def _with_free_constant(values: Vectors, K: Matrix, noise: Scalars) -> float:

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.cubes import FEW_POINTS, SAMPLING, even_choice
+from magmatch.estimation.cubes import SAMPLING, even_choice
+from magmatch.estimation.limits import FEW_POINTS, N_DRAWS
 from magmatch.estimation.pose_prior import ATTITUDE_SD
 from magmatch.estimation.walk import MIN_BINS, bin_along_path, bin_means
 from magmatch.field.fit import fit_posterior
@@ -25,8 +26,6 @@ from magmatch.geometry import path_walked, skew
 from magmatch.progress import tell
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Tensors, Vectors
 
-# Posterior samples that give the spread of what is derived from a map.
-N_DRAWS = 8
 # Length of a held-out stretch of the base's path in correlation lengths; each held-out set takes a refit.
 STRETCH_LENGTH = 5.0
 # Prior spread (natural log) of the parameters about their guesses, and of one walk's covariance about another's; and
@@ -58,6 +57,14 @@ class PathNoise:
     n_stretches: int = 0  # number of held-out stretches that it was learned from
     is_smooth: bool = False  # whether the correlated part is
 
+    @classmethod
+    def guess(
+        cls, length: float, misfit_sd: float, nugget_sd: float, constant_sd: float, pose_sd: float = 0.0
+    ) -> "PathNoise":
+        """Guess the rest by the field's correlation length (m); positions are as accurate as stated, or 2 % of it."""
+        drift_sd = max(pose_sd, 0.02 * length)
+        return cls(misfit_sd, length, nugget_sd, constant_sd, 1.0, length, ATTITUDE_SD, drift_sd, 4 * length)
+
     @property
     def is_learned(self) -> bool:
         """Whether it was learned from the base; otherwise it is a guess."""
@@ -85,17 +92,12 @@ class PathNoise:
 
     def isotropic(self, distance: Matrix, map_sd: Scalars) -> Matrix:
         """Covariance of one component: all but the drift; (..., n, n), T^2."""
-        along, map_along = self.alike(distance)
-        map_sd = self.map_factor * map_sd
+        x = (np.sqrt(3) if self.is_smooth else 1.0) * distance / self.misfit_length
+        along = self.misfit_sd**2 * ((1 + x) * np.exp(-x) if self.is_smooth else np.exp(-x)) + self.constant_sd**2
+        map_along, map_sd = np.exp(-0.5 * (distance / self.map_length) ** 2), self.map_factor * map_sd
         C = along + map_sd[..., :, None] * map_sd[..., None, :] * map_along
         C = C + self.nugget_sd**2 * np.eye(distance.shape[-1])
         return np.asarray(C)
-
-    def alike(self, distance: Matrix) -> tuple[Matrix, Matrix]:
-        """By distance, (n, n): a component's covariance of misfit and constant, T^2; correlation of map errors."""
-        x = (np.sqrt(3) if self.is_smooth else 1.0) * distance / self.misfit_length
-        along = self.misfit_sd**2 * ((1 + x) * np.exp(-x) if self.is_smooth else np.exp(-x)) + self.constant_sd**2
-        return along, np.exp(-0.5 * (distance / self.map_length) ** 2)
 
     def full(self, distance: Matrix, map_sd: Scalars, gradient: Tensors, field: Vectors) -> Matrix:
         """Covariance of all components, rows ordered bin by bin: (..., 3 n, 3 n), T^2."""
@@ -108,8 +110,14 @@ class PathNoise:
         # By pairs of bins and of components.
         pairs = C.reshape(*C.shape[:-2], n, 3, n, 3)
         pairs *= np.exp(-distance / self.drift_length)[..., :, None, :, None]
+        return self.with_isotropic(C, distance, map_sd)
+
+    def with_isotropic(self, C: Matrix, distance: Matrix, map_sd: Scalars) -> Matrix:
+        """Add what all components have alike to a covariance of all (..., 3 n, 3 n), in place."""
+        n = distance.shape[-1]
+        pairs = C.reshape(*C.shape[:-2], n, 3, n, 3)
         np.einsum("...nama->...nma", pairs)[...] += self.isotropic(distance, map_sd)[..., None]
-        return np.asarray(C)
+        return C
 
 
 @lru_cache(maxsize=64)
@@ -139,17 +147,7 @@ def learn_path_noise(field_map: FieldMap, length: float, rng: np.random.Generato
     its positions drift is guessed as large as it was learned elsewhere, so that a pose is not stated too well.
     """
     h = field_map.hyperparameters
-    guess = PathNoise(
-        misfit_sd=h.noise_sd,
-        misfit_length=length,
-        nugget_sd=0.5 * h.noise_sd,
-        constant_sd=0.5 * h.noise_sd,
-        map_factor=1.0,
-        map_length=length,
-        attitude_sd=ATTITUDE_SD,
-        drift_sd=max(field_map.survey.pose_sd, 0.02 * length),
-        drift_length=4 * length,
-    )
+    guess = PathNoise.guess(length, h.noise_sd, 0.5 * h.noise_sd, 0.5 * h.noise_sd, field_map.survey.pose_sd)
     stretches, by_posterior = predict_stretches(field_map, length, rng)
     tell(f"learning the residuals along a path from {len(by_posterior)} left-out stretches")
     live_guess = replace(guess, drift_sd=max(guess.drift_sd, DRIFT * length))

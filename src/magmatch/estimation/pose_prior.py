@@ -14,9 +14,9 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from magmatch.estimation.hypotheses import Hypotheses
-from magmatch.estimation.prior_rows import add_height, add_pose, add_vertical, rule_out_far
-from magmatch.geometry import perturbation, product, rotation_matrix
+from magmatch.estimation.candidate_poses import CandidatePoses
+from magmatch.estimation.limits import FEWEST_DRAWN, MOST_DRAWN
+from magmatch.geometry import perturbation, product, rotation_matrix, skew
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -26,9 +26,6 @@ RARE = 0.01
 FAR2 = float(chdtri(3, RARE))
 # Standard deviation of the vertical in a survey's frame, rad: a good accelerometer at rest, a robot's floor.
 ATTITUDE_SD = 0.01
-# Fewest and most poses drawn about a rough one, and factor on the number of neighbours tried if a prior rules most of
-# them out.
-FEWEST_DRAWN, MOST_DRAWN, MORE_NEIGHBOURS = 300, 6000, 4
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -152,24 +149,38 @@ class PosePrior:
 
     def rows_of_many(self, R: Tensors, moved: Points, center: Vector3) -> tuple[np.ndarray, Matrix, Scalars]:
         """`rows` of many poses at once: rotations R (h, 3, 3), which put the centre at ``moved`` (h, 3)."""
-        R, moved, h = np.ascontiguousarray(R), np.ascontiguousarray(moved), len(R)
+        h = len(R)
         A, v, chi2 = np.zeros((h, 6, 6)), np.zeros((h, 6)), np.zeros(h)
         if self.up_base is not None and self.up_target is not None:
-            up = np.ascontiguousarray(self.up_base)
-            add_vertical(R, up, np.ascontiguousarray(self.up_target), self.gravity_sd, A, v, chi2)
+            up = self.up_base @ R  # in the target's axes
+            off, J = self.up_target - up, -skew(up)
+            A[:, :3, :3] += np.swapaxes(J, 1, 2) @ J / self.gravity_sd**2
+            v[:, :3] += np.cross(up, off) / self.gravity_sd**2
+            chi2 += (off**2).sum(axis=1) / self.gravity_sd**2
             if self.height is not None:
-                height = float(center @ self.up_target) + self.height
-                add_height(R, moved, up, height, self.height_sd, A, v, chi2)
+                too_high = moved @ self.up_base - (float(center @ self.up_target) + self.height)
+                A[:, 3:, 3:] += up[:, :, None] * up[:, None] / self.height_sd**2
+                v[:, 3:] += up * too_high[:, None] / self.height_sd**2
+                chi2 += too_high**2 / self.height_sd**2
         if self.T_base_target is not None and self.covariance is not None:
             information = np.linalg.inv(self.covariance)
-            add_pose(R, moved, *self._rough(center), information, A, v, chi2, *np.empty((2, 6, 6)), *_room())
+            turns, r = self._off_rough(R, moved, center)
+            # To first order in the angle already there.
+            J = np.tile(np.eye(6), (h, 1, 1))
+            J[:, :3, :3] += 0.5 * skew(r[:, :3])
+            J[:, 3:, 3:] = turns
+            A += np.swapaxes(J, 1, 2) @ information @ J
+            v += np.einsum("ha,hab->hb", r @ information, J)
+            chi2 += np.einsum("ha,ha->h", r @ information, r)
         return A, v, chi2
 
-    def _rough(self, center: Vector3) -> tuple[Matrix, Vector3]:
-        """Rotation of the rough pose, and where it puts the target's middle."""
+    def _off_rough(self, R: Tensors, moved: Points, center: Vector3) -> tuple[Tensors, Matrix]:
+        """How poses are off the rough one, in its axes: turns (h, 3, 3); rotation vectors and shifts (h, 6)."""
         assert self.T_base_target is not None
-        R = np.ascontiguousarray(rotation_matrix(self.T_base_target))
-        return R, self.T_base_target.translation + R @ center
+        R_rough = rotation_matrix(self.T_base_target)
+        turns = R_rough.T @ R
+        shifts = (moved - self.T_base_target.apply(center)) @ R_rough
+        return turns, np.concatenate([Rotation.from_matrix(turns).as_rotvec(), shifts], axis=1)
 
     def admits(self, R: Tensors, moved: Points, center: Vector3, slack: tuple[float, float]) -> Mask:
         """Whether the prior admits poses: rotations R (h, 3, 3) that put the target's middle at ``moved`` (h, 3), m.
@@ -184,10 +195,10 @@ class PosePrior:
                 off = np.abs(moved @ self.up_base - center @ self.up_target - self.height)
                 is_admitted &= off < np.sqrt(FAR2) * np.hypot(self.height_sd, slack[1])
         if self.T_base_target is not None and self.covariance is not None:
-            own = np.square(slack)[:, None, None] * np.eye(3)
-            wide = np.linalg.inv(np.stack([self.covariance[:3, :3], self.covariance[3:, 3:]]) + own)
-            R, moved = np.ascontiguousarray(R), np.ascontiguousarray(moved)
-            rule_out_far(R, moved, *self._rough(center), wide, self.far2, is_admitted, *_room())
+            r = self._off_rough(R, moved, center)[1]
+            for k, part in enumerate((slice(0, 3), slice(3, 6))):
+                wide = np.linalg.inv(self.covariance[part, part] + slack[k] ** 2 * np.eye(3))
+                is_admitted &= np.einsum("ha,ab,hb->h", r[:, part], wide, r[:, part]) < self.far2
         return is_admitted
 
     def draw(self, n: int, center: Vector3, rng: np.random.Generator) -> tuple[Tensors, Points]:
@@ -213,8 +224,8 @@ class PosePrior:
         return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
 
     def narrow(
-        self, poses: Hypotheses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
-    ) -> Hypotheses:
+        self, poses: CandidatePoses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
+    ) -> CandidatePoses:
         """Remove hypotheses that the prior rules out, and add poses about a rough one, at the same anchors.
 
         ``slack`` (rad, m): standard deviations of the poses themselves.
@@ -225,17 +236,12 @@ class PosePrior:
         drawn, moved = self.draw(self._n_drawn(slack), center, rng)
         rows = np.arange(len(drawn), dtype=np.int64) % len(poses.anchors_target)
         anchors = moved + np.einsum("nij,nj->ni", drawn, poses.anchors_target[rows] - center)
-        return Hypotheses(
+        return CandidatePoses(
             np.concatenate([kept.rotations, drawn]),
             np.concatenate([kept.anchors_base, anchors]),
             np.concatenate([kept.anchor_rows, rows]),
             poses.anchors_target,
         )
-
-
-def _room() -> tuple[np.ndarray, Matrix]:
-    """Make room for a pose's offset from another: turn and shift, and the turn as a matrix."""
-    return np.empty(6), np.empty((3, 3))
 
 
 def pose_prior(

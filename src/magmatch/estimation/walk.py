@@ -10,14 +10,13 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.estimation.cubes import COARSER, FEW_POINTS, even_choice
-from magmatch.estimation.hypotheses import OUTLIER_SHARE
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE
+from magmatch.estimation.cubes import even_choice
+from magmatch.estimation.limits import COARSER, FEW_POINTS, MAX_WEIGHED
 from magmatch.typing import Indices, Points, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
-# Maximum number of bins, or of a map's cells, that are weighed together: the cost is cubic in it.
-MAX_WEIGHED = 150
 # A survey is a line, or a plane, if it spreads across by less than this share of the extent along.
 MAX_BREADTH = 0.2
 # Fewest bins that a walk is judged by.

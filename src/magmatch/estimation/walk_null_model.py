@@ -7,7 +7,9 @@ from itertools import product
 
 import numpy as np
 
-from magmatch.estimation.cubes import FEW_POINTS, even_choice
+from magmatch.estimation.cubes import even_choice
+from magmatch.estimation.limits import FEW_POINTS
+from magmatch.estimation.map_null_model import rational_quadratic
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.walk import Walk
 from magmatch.estimation.walk_rows import whiten
@@ -60,7 +62,8 @@ class UnrelatedWalk:
 
         def log_likelihoods(at: Indices, tried: Matrix) -> Scalars:
             square_of = np.ix_(at, at)
-            K = _covariances(distance[square_of] ** 2, tried) + errors[square_of]
+            length, variance = tried.T[:, :, None, None]
+            K = rational_quadratic(distance[square_of] ** 2, length, variance) + errors[square_of]
             return _log_likelihoods(field[at] - mean, K, self.noise)
 
         found = log_likelihoods(some, tried)
@@ -69,18 +72,10 @@ class UnrelatedWalk:
         return float(log_likelihoods(np.arange(len(rows)), most_likely)[0]) - favour
 
 
-def _covariances(d2: Matrix, tried: Matrix) -> np.ndarray:
-    """Give the covariance for each pair of numbers tried: (t, n, n)."""
-    # Rational quadratic: a mixture of lengthscales, as the field of sources at many distances is.
-    length, variance = tried.T[:, :, None, None]
-    return np.asarray(variance / (1 + d2 / (2 * length**2)))
-
-
 def _log_likelihoods(values: Vectors, K: np.ndarray, noise: PathNoise) -> Scalars:
     """Give the log-likelihoods of values (n, 3) under each of several covariances (t, n, n)."""
     L = np.linalg.cholesky(K)
-    z = np.repeat(values[None], len(L), axis=0)
-    whiten(L, z)
+    z = whiten(L, np.broadcast_to(values, (len(L), *values.shape)))
     half_log_det = 3 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     log_likelihood = noise.factor((z**2).sum(axis=(1, 2)), np.full(len(L), values.size))[1]
     return np.asarray(log_likelihood - half_log_det)

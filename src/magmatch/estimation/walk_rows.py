@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows of the least squares of a walk's poses, and how correlated residuals are whitened: compiled loops."""
+"""Rows of the least squares of a walk's poses, and how correlated residuals are whitened."""
 
 import numpy as np
+from scipy.linalg.lapack import dtrtrs
 
-from magmatch.compiled import compiled
+from magmatch.geometry import skew
 from magmatch.typing import Mask, Matrix, Points, Tensors
-
-# A row: the residual, then its slopes with the pose.
-N_COLUMNS = 7
 
 
 def residual_rows(
@@ -31,104 +29,25 @@ def residual_rows(
     Returns
     -------
     rows : (h, n, 3, 7) array
-        Residual ``b - R^T B``, T, and slopes ``[G [y]x - [b]x, -G]``, G the gradient in the walk's axes.
+        Each the residual ``b - R^T B``, T, and its slopes ``[G [y]x - [b]x, -G]``, G the gradient in the walk's axes.
     slopes : (h, n, 3, 6) array
         ``[[b]x, G]``: what a turn and a shift of each bin do to its residual.
     """
-    rows, slopes = np.empty((*known.shape, 3, N_COLUMNS)), np.empty((*known.shape, 3, 6))
-    R, y, b, field, gradient = (np.ascontiguousarray(x) for x in (R, y, b, *values))
-    _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, *np.zeros((2, 3, 3)))
-    return rows, slopes
+    field, gradient = (x.reshape(*known.shape, *x.shape[1:]) for x in values)
+    is_told, turned = known[..., None, None], skew(b)
+    gradient = np.where(is_told, np.swapaxes(R, 1, 2)[:, None] @ gradient @ R[:, None], 0.0)
+    rows = np.concatenate([(b - field @ R)[..., None], gradient @ skew(y) - turned, -gradient], axis=3)
+    return np.where(is_told, rows / strain[..., None, None], 0.0), np.concatenate([turned, gradient], axis=3)
 
 
-@compiled
-def _fill_rows(R, y, b, field, gradient, known, strain, rows, slopes, bx, yx):  # type: ignore[no-untyped-def]
-    h, n = known.shape
-    for p in range(h):
-        for i in range(n):
-            _skew(b[p, i], bx)
-            _skew(y[p, i], yx)
-            at, row, slope = p * n + i, rows[p, i], slopes[p, i]
-            told = 1.0 if known[p, i] else 0.0
-            share = told / strain[p, i]
-            for a in range(3):
-                expected = 0.0
-                for c in range(3):
-                    expected += R[p, c, a] * field[at, c]
-                    turned = 0.0
-                    for d in range(3):
-                        for e in range(3):
-                            turned += R[p, d, a] * gradient[at, d, e] * R[p, e, c]
-                    slope[a, c] = bx[a, c]
-                    slope[a, 3 + c] = turned * told
-                row[a, 0] = (b[p, i, a] - expected) * share
-                for c in range(3):
-                    moved = -bx[a, c]
-                    for d in range(3):
-                        moved += slope[a, 3 + d] * yx[d, c]
-                    row[a, 1 + c] = moved * share
-                    row[a, 4 + c] = -slope[a, 3 + c] * share
+def whiten(L: Matrix, rows: Matrix, *, again: bool = False) -> Matrix:
+    """Give ``L^-1 rows``, or again ``L^-T rows``, of rows (h, n) or (h, n, k), L lower triangular (h, n, n)."""
+    # LAPACK itself: of small matrices, SciPy's checks take longer. It reads them by columns: transposed.
+    pairs = zip(L, rows, strict=True)
+    return np.stack([dtrtrs(one.T, of, lower=0, trans=int(not again))[0] for one, of in pairs])
 
 
-@compiled
-def _skew(v, S):  # type: ignore[no-untyped-def]
-    """Off the diagonal, which is 0."""
-    S[0, 1], S[0, 2], S[1, 2] = -v[2], v[1], -v[0]
-    S[1, 0], S[2, 0], S[2, 1] = v[2], -v[1], v[0]
-
-
-@compiled
-def whiten(L, rows):  # type: ignore[no-untyped-def]
-    """Overwrite rows (h, n, k) by ``L^-1 rows``, L lower triangular (h, n, n)."""
-    h, n, k = rows.shape
-    for p in range(h):
-        for i in range(n):
-            for j in range(i):
-                f = L[p, i, j]
-                for c in range(k):
-                    rows[p, i, c] -= f * rows[p, j, c]
-            f = 1.0 / L[p, i, i]
-            for c in range(k):
-                rows[p, i, c] *= f
-
-
-@compiled
-def whiten_again(L, rows):  # type: ignore[no-untyped-def]
-    """Overwrite rows (h, n) by ``L^-T rows``."""
-    h, n = rows.shape
-    for p in range(h):
-        for j in range(n - 1, -1, -1):
-            rows[p, j] /= L[p, j, j]
-            f = rows[p, j]
-            for i in range(j):
-                rows[p, i] -= f * L[p, j, i]
-
-
-@compiled
-def add_alike(C, along, map_along, sd, nugget2):  # type: ignore[no-untyped-def]
-    """Add what all components have alike to a covariance (h, n, n), or (h, 3 n, 3 n) bin by bin.
-
-    Along the path: ``along + map_along * sd_i * sd_j``, and a variance of each bin's own.
-    """
-    h, n = sd.shape
-    s = C.shape[1] // n
-    for p in range(h):
-        for i in range(n):
-            for j in range(n):
-                one = along[i, j] + map_along[i, j] * sd[p, i] * sd[p, j]
-                if i == j:
-                    one += nugget2
-                for a in range(s):
-                    C[p, s * i + a, s * j + a] += one
-
-
-@compiled
-def isolate(C, known):  # type: ignore[no-untyped-def]
+def isolate(C: Matrix, known: Mask) -> Matrix:
     """Cut unknown bins off: unit variance, no covariance, so that they add nothing to any sum or determinant."""
-    h, n = known.shape
-    s = C.shape[1] // n
-    for p in range(h):
-        for i in range(s * n):
-            for j in range(s * n):
-                if not (known[p, i // s] and known[p, j // s]):
-                    C[p, i, j] = 1.0 if i == j else 0.0
+    known = np.repeat(known, C.shape[1] // known.shape[1], axis=1)
+    return np.where(known[:, :, None] & known[:, None], C, np.eye(C.shape[1]))

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypothesis import worst_sd
-from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of
+from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of, worst_sd
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis

@@ -11,9 +11,10 @@ from magmatch.data.fingerprint import hash_survey
 from magmatch.data.formats.sniff import sniff
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import DataFormatError
+from magmatch.estimation.limits import MAX_LOADED
 from magmatch.field.map import FieldMap
 from magmatch.localization.known_map import KnownMap
-from magmatch.registration.index.atlas import MAX_LOADED, Atlas, AtlasEntry, open_atlas
+from magmatch.registration.index.atlas import Atlas, AtlasEntry, open_atlas
 from magmatch.registration.index.map_index import SUFFIX, MapIndex
 
 Place = FieldMap | MapIndex | Atlas

@@ -15,7 +15,7 @@ from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.data.tables.tum import write_poses
 from magmatch.data.trajectory import Trajectory
-from magmatch.estimation.hypothesis import worst_sd
+from magmatch.estimation.posterior import worst_sd
 from magmatch.field.map import FieldMap
 from magmatch.geometry import path_walked, transform_from_product
 from magmatch.localization.config import LocalizerConfig

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import compiled
-from magmatch.estimation.hypothesis import Kind
-from magmatch.estimation.posterior import log_odds
+from magmatch.estimation.posterior import Kind, log_odds
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, predict
 from magmatch.typing import Covariance6, Matrix, Scalars, Vector3

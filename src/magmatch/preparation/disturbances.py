@@ -6,10 +6,11 @@ from scipy.ndimage import label, median_filter
 from scipy.stats import chi2
 
 from magmatch.data.sensor_axes import at_limit
+from magmatch.estimation.gauss_newton import student_weights
 from magmatch.field.folds import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, SMALLEST_NOISE, robust_sd, student_weights
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, SMALLEST_NOISE, robust_sd
 from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 
 # Readings to either side that a spike is held against; up to two in a row still stand out.

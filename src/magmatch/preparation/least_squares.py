@@ -18,8 +18,6 @@ LEAST_INFORMATION = 25.0
 STRETCHES, N_STRETCHES = (40, 20, 10), 20
 ROUNDS_OF_NOISE = 3
 MEDIAN_TO_SD = 1.4826
-# Degrees of freedom of the errors' distribution: heavier tails than normal ones, for what moves and for spikes.
-STUDENT = 4.0
 SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
 
@@ -123,11 +121,6 @@ def _by_block(
         square = float(z[rows] @ np.linalg.solve(own, z[rows])) / len(rows)
         p_value[name] = float(scipy.stats.f.sf(square, len(rows), N_STRETCHES - len(rows)))
     return Solution(estimate, sd, p_value, is_open, residual, free, robust_sd(free))
-
-
-def student_weights(square: Scalars, n_components: int) -> Scalars:
-    """Weights of samples by their squared misfits, in variances: of errors with heavier tails than normal ones."""
-    return np.asarray((STUDENT + n_components) / (STUDENT + square))
 
 
 def robust_sd(residual: np.ndarray) -> float:

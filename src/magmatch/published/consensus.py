@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.distinct import distinct_poses
+from magmatch.estimation.candidate_poses import distinct_poses
 from magmatch.features.features import Features
 from magmatch.geometry import rotation_matrix, transform_of, unit_vectors
 from magmatch.published.matching import Matches

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch._version import __version__
 from magmatch.arguments import expect_kind, expect_transform, whole_number_of
 from magmatch.data.diagnoses import warn
+from magmatch.data.fingerprint import describe_input
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
@@ -21,7 +23,6 @@ from magmatch.registration.config import RegistrationConfig, settings_of
 from magmatch.registration.index.atlas import Atlas, open_atlas
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_base, require_target, survey_of
-from magmatch.registration.provenance import stamped
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import NONE_GIVEN, Given
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate_sensors
@@ -174,7 +175,16 @@ def register_keeping_maps(
     surveys = dict(zip(("base", "target")[-len(known) :], known, strict=True))
     answer = with_advice(answer, surveys, config.prior)
     is_found = has_pose or not (only or isinstance(base, Atlas))
-    return base_used if is_found else None, used, stamped(answer, known, config, seed, clock)
+    # Enough to repeat the run and get the same numbers.
+    answer = replace(
+        answer,
+        seconds=clock.seconds(),
+        config=config.model_dump(mode="json"),
+        version=__version__,
+        seed=seed,
+        inputs=tuple(describe_input(survey) for survey in known),
+    )
+    return base_used if is_found else None, used, answer
 
 
 def _opened(

@@ -1,39 +1,60 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The algorithm: map; then for each strategy let maps vote, prepare, search, refine and weigh; settle, decide."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.hypothesis import Hypothesis
-from magmatch.estimation.posterior import Answer, posterior_of
+from magmatch.estimation.posterior import Answer, Hypothesis, answers_of, posterior_of
+from magmatch.estimation.walk import choose_search, is_line
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
 from magmatch.published.register import register as register_published
-from magmatch.registration.bases import Bases, OneBase
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support
-from magmatch.registration.index.atlas import Atlas
+from magmatch.registration.index.atlas import Atlas, Bases, OneBase
 from magmatch.registration.index.map_index import MapIndex, prepare_index
+from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.maps import as_map, map_base, map_of
+from magmatch.registration.pair import Pair
 from magmatch.registration.published_answer import answer_of
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult
-from magmatch.registration.strategies import strategies
-from magmatch.registration.strategy import Among, Pair, Strategy, Weighed
+from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bend import Bend
 
 Target = Survey | FieldMap
 Base = Target | MapIndex | Atlas
 # The base that holds the answer and the target as they were used, and the answer.
 Outcome = tuple[FieldMap | MapIndex, Target, RegistrationResult]
+# Both have the same steps; what one prepares and finds goes to no other.
+Strategy = MapStrategy | WalkStrategy
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Weighed:
+    """Poses of a pair, refined and weighed; nothing is decided yet."""
+
+    strategy: Strategy  # the one that weighed them, and can state and settle them
+    pair: Pair[Any, Any]
+    found: SearchResult
+    ranked: list[Any]  # hypotheses, pose and model, in any order
+    elsewhere: float = -np.inf  # nats: log odds of the best pose in any other base; -inf if there is none
+
+    def answers(self, config: DecisionConfig) -> list[Answer[Any]]:
+        """Hypotheses that are one answer at the accuracy asked for."""
+        return answers_of(self.ranked, config.tolerance(self.pair.length))
+
+    def best_log_odds(self, config: DecisionConfig) -> float:
+        """Log odds of the most probable answer over unrelated surveys, nats; -inf if there is none."""
+        return max((answer.log_odds for answer in self.answers(config)), default=-np.inf)
 
 
 def register_once(
@@ -48,25 +69,28 @@ def register_once(
     """The answer without calibration of sensors; a walk is compared with all its samples, mapped or not."""
     with clock("maps"):
         base, target = map_base(base, target, config.field)
-    # The published method has its own steps.
     if config.search == "keypoints" and not isinstance(base, Atlas):
-        with clock("maps"):
-            target_map = as_map(target, config.field)
-        with clock("search"):
-            published = register_published(map_of(base), target_map, config=config.keypoints, seed=seed)
-        return base, target_map, answer_of(published)
+        return _by_published_method(base, target, config, seed, clock)
     with clock("prepare"):
         bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base, config), config)
-    weighed = dict[Any, Weighed[Any, Any, Any]]()
-    best, answer = None, None
+    weighed = dict[Any, Weighed]()
+    best: Any = None
+    answer = None
     for strategy in strategies(bases.length, target, samples, config, seed, clock):
-        # Another strategy is another look at the map that was most probable; the likelier of both looks counts.
-        likely = _likely(bases, strategy, clock) if best is None else [best]
-        for one in likely:
-            look = weigh(bases, one, likely, strategy, given, clock)
-            weighed[one] = max(
-                look, weighed.get(one, look), key=lambda each: each.best_log_odds(bases.config.decision)
-            )
+        with clock("votes"):
+            # Another strategy is another look at the map that was most probable; the likelier of both looks counts.
+            likely = strategy.likely(bases) if best is None else [best]
+        for number, one in enumerate(likely):
+            if len(likely) > 1:
+                tell(f"searching {bases.name_of(one)}", number / len(likely))
+            with clock("prepare"):
+                pair: Any = strategy.pair(bases.load(one), bases.volume, bases.length_of(likely))
+            with clock("search"):
+                found = SearchResult() if given.is_alone else strategy.search(pair)
+            with clock("refine"):
+                look = refine_and_weigh(strategy, pair, found, given)
+            looks = (look, weighed.get(one, look))
+            weighed[one] = max(looks, key=lambda each: each.best_log_odds(bases.config.decision))
         best, answer = decide_among(bases, weighed, clock)
         if answer.is_accepted:
             break
@@ -74,46 +98,45 @@ def register_once(
     return bases.load(best), weighed[best].strategy.target, answer
 
 
-def _likely(bases: Bases, strategy: Strategy[Any, Any, Any], clock: Clock) -> list[Any]:
-    with clock("votes"):
-        return strategy.likely(bases)
-
-
-def weigh(
-    bases: Bases,
-    one: Any,
-    likely: list[Any],
-    strategy: Strategy[Any, Any, Any],
-    given: Given,
-    clock: Clock,
-) -> Weighed[Any, Any, Any]:
-    """Weigh poses of the target in one of the maps, with the search penalty for all of them."""
-    if len(likely) > 1:
-        tell(f"searching {bases.name_of(one)}", likely.index(one) / len(likely))
-    with clock("prepare"):
-        pair = strategy.pair(bases.load(one), Among(bases.volume, bases.length_of(likely)))
+def _by_published_method(
+    base: FieldMap | MapIndex, target: Target, config: RegistrationConfig, seed: int, clock: Clock
+) -> Outcome:
+    """Give the answer of the published method, which has its own steps."""
+    with clock("maps"):
+        target_map = as_map(target, config.field)
     with clock("search"):
-        found = SearchResult() if given.is_alone else strategy.search(pair)
-    with clock("refine"):
-        return refine_and_weigh(strategy, pair, found, given)
+        published = register_published(map_of(base), target_map, config=config.keypoints, seed=seed)
+    return base, target_map, answer_of(published)
 
 
-def refine_and_weigh(
-    strategy: Strategy[Any, Any, Any], pair: Pair[Any, Any], found: SearchResult, given: Given
-) -> Weighed[Any, Any, Any]:
+def strategies(
+    length: float, target: Target, samples: Survey, config: RegistrationConfig, seed: int, clock: Clock
+) -> Iterator[Strategy]:
+    """Compare as a walk if samples are a line, short in the base's correlation lengths; otherwise, or next, as a map.
+
+    A long line that turns and crosses itself may cover an area, so it is tried as a map first and as a walk next.
+    The target is mapped only when that strategy is used.
+    """
+    search = choose_search(samples, length) if config.search == "auto" else config.search
+    walk = WalkStrategy(target, samples, config, seed)
+    if search == "pairs":
+        yield walk
+    if config.search != "pairs":
+        yield MapStrategy.of(target, config, seed, clock)
+    if config.search == "auto" and search != "pairs" and is_line(samples, length):
+        yield walk
+
+
+def refine_and_weigh(strategy: Strategy, pair: Any, found: SearchResult, given: Given = NONE_GIVEN) -> Weighed:
     """Weigh what a search found, and by the same steps what was given: the posterior compares them all."""
-    weighed = strategy.refine_and_weigh(pair, found)
-    if not given.poses:
-        return weighed
-    others = strategy.refine_and_weigh(pair, given.between(pair.T_base_model, pair.T_target_model))
-    return (
-        replace(weighed, ranked=[*weighed.ranked, *others.ranked]) if weighed.ranked else replace(others, found=found)
-    )
+    ranked: list[Any] = list(strategy.refine_and_weigh(pair, found))
+    if given.poses:
+        others = given.between(pair.T_base_model, pair.T_target_model)
+        ranked += strategy.refine_and_weigh(pair, others)
+    return Weighed(strategy, pair, found, ranked)
 
 
-def decide_among(
-    bases: Bases, weighed: dict[Any, Weighed[Any, Any, Any]], clock: Clock
-) -> tuple[Any, RegistrationResult]:
+def decide_among(bases: Bases, weighed: dict[Any, Weighed], clock: Clock) -> tuple[Any, RegistrationResult]:
     """Decide on the best pose of all maps; a refusal shows the best pose in each other map, too."""
     odds = {one: found.best_log_odds(bases.config.decision) for one, found in weighed.items()}
     best, *others = sorted(weighed, key=lambda one: -odds[one])
@@ -131,7 +154,7 @@ def decide_among(
     return best, replace(answer, base=name, alternatives=answer.alternatives + elsewhere)
 
 
-def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, clock: Clock) -> RegistrationResult:
+def settle_and_decide(weighed: Weighed, config: DecisionConfig, clock: Clock) -> RegistrationResult:
     """Let the best pose's target bend, compare probabilities, settle the best answer's covariance, and decide."""
     pair, found, by = weighed.pair, weighed.found, weighed.strategy
     answers = weighed.answers(config)
@@ -139,13 +162,14 @@ def settle_and_decide(weighed: Weighed[Any, Any, Any], config: DecisionConfig, c
         return RegistrationResult(NO_POSE.status, NO_POSE.reason, None, n_keypoints=found.n_keypoints)
     with clock("settle"):
         best, *others = sorted(answers, key=lambda answer: -answer.log_odds)
-        best, bent = _that_bend(by, pair, best)
+        # Of two places, whatever both bend by says nothing.
+        best, bent = _that_bend(by, pair, best) if best.effective > 0 else (best, None)
         posterior = posterior_of([best, *others], config.prior_odds, weighed.elsewhere)
         is_probable = posterior.best >= config.min_probability
         estimate, support = _state(by.settle if is_probable else by.state, pair, posterior.answers[0], bent, config)
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
-        is_bent = bent is not None and posterior.poses[0] is bent.pose and posterior.answers[0].effective > 0
+        is_bent = bent is not None and posterior.poses[0] is bent.pose
         if bent is not None and is_bent and bent.bend.probability >= config.min_probability:
             parts = (verdict.reason, str(bent.bend))
             # What drift leaves uncertain is no fault of where was surveyed.
@@ -162,9 +186,7 @@ class _Bent(NamedTuple):
     bend: Bend
 
 
-def _that_bend(
-    by: Strategy[Any, Any, Any], pair: Pair[Any, Any], answer: Answer[Any]
-) -> tuple[Answer[Any], _Bent | None]:
+def _that_bend(by: Strategy, pair: Any, answer: Answer[Any]) -> tuple[Answer[Any], _Bent | None]:
     """Join the model of a target that bends to an answer."""
     for pose in answer.hypotheses:
         if (bend := by.bend(pair, pose)) is not None:

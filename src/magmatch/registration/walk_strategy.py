@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The target as a walk: poses are found by pairs of points, refined and weighed by least squares along the path."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,27 +10,25 @@ from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import pose_prior
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.field.map import FieldMap
-from magmatch.registration.bases import Bases
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support, support_of_walk
-from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.index.walk_index import WalkIndex
+from magmatch.registration.index.atlas import Bases
+from magmatch.registration.index.map_index import MapIndex, WalkIndex
+from magmatch.registration.pair import Pair
 from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.strategy import Among, Pair, Weighed
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
 from magmatch.registration.weigh.bending_walk import BendingWalk
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, inside_base, weigh_walk
-from magmatch.registration.weigh.settled import with_frame_error
 
 WalkPair = Pair[WalkIndex, Walk]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WalkStrategy:
-    """Implements `Strategy` for a line of samples, in the order they were taken."""
+    """The steps for a line of samples, in the order they were taken; `MapStrategy` says what each does."""
 
     target: Survey | FieldMap
     # All samples given: a map leaves out those that contradict the rest.
@@ -42,12 +40,15 @@ class WalkStrategy:
         """Those in which most pairs of points agree on one pose."""
         return bases.likely_for_walk(self.samples, self.seed)
 
-    def pair(self, index: MapIndex, among: Among | None = None) -> WalkPair:
-        """The base's pairs of points, and the walk in bins."""
-        walks, among = index.walks, among or Among.of(index)
-        walk = walk_of(self.samples, among.length)
+    def pair(self, index: MapIndex, volume: float | None = None, length: float | None = None) -> WalkPair:
+        """The base's pairs of points, and the walk in bins.
+
+        They are by the length (m) that all bases share, so that none is judged by more bins.
+        """
+        walks = index.walks
+        walk = walk_of(self.samples, length or index.length)
         frames = index.base.T_map_model, walk.T_survey_walk
-        prior = pose_prior(self.config.prior, *frames, among.volume, height_range(index.base))
+        prior = pose_prior(self.config.prior, *frames, volume or index.volume, height_range(index.base))
         prior = inside_base(prior, index.base, walk, walks.length, self.config.walks.evidence)
         return Pair(walks, walk, prior, walks.length, *frames)
 
@@ -56,21 +57,23 @@ class WalkStrategy:
         rng = np.random.default_rng(self.seed)
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
-    def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> Weighed[Any, Any, Any]:
+    def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> list[LineEvidence]:
         """Generalised least squares, with the covariance of residuals learned from this base's own stretches."""
         walks, config = pair.base, self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, walks.length, pair.prior, config)
         if walks.noise.is_learned or not ranked:
-            return Weighed(self, pair, found, ranked)
+            return ranked
         # A base that passed each place once tells no more than its posterior does.
         bending = BendingWalk.of(walks.base, pair.target, walks.length, pair.prior, config)
-        return Weighed(self, pair, found, bending.weigh([one.T_base_target for one in ranked]))
+        return bending.weigh([one.T_base_target for one in ranked])
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
-        # The drift of a walk that bends is that of its frame, too.
+        # The base's own stretches show how poses drift, but no error of the walk's frame as a whole; the drift of a
+        # walk that bends is that of its frame, too.
         pose_sd = pair.target.pose_sd if pair.base.noise.is_learned else 0.0
-        estimate = pair.estimate(with_frame_error(pose, pose_sd))
+        covariance = pose.covariance + np.diag([0.0] * 3 + [pose_sd**2] * 3)
+        estimate = pair.estimate(replace(pose, covariance=covariance))
         return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)
 
     # Along a path, nothing remains to be widened.

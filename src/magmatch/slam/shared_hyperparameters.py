@@ -9,7 +9,6 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.estimation.cubes import even_choice
 from magmatch.estimation.path_noise import PathNoise
-from magmatch.estimation.pose_prior import ATTITUDE_SD
 from magmatch.estimation.walk import BIN_LENGTH, bin_along_path, bin_means
 from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
@@ -92,17 +91,7 @@ def _expected_square(survey: Survey, h: Hyperparameters, length: float) -> float
 
 def guessed_noise(h: Hyperparameters, length: float) -> PathNoise:
     """Guess of the field that does not repeat from walk to walk, before any two were compared."""
-    return PathNoise(
-        misfit_sd=0.25 * h.signal_sd,
-        misfit_length=length,
-        nugget_sd=0.25 * h.noise_sd,
-        constant_sd=0.1 * h.signal_sd,
-        map_factor=1.0,
-        map_length=length,
-        attitude_sd=ATTITUDE_SD,
-        drift_sd=0.02 * length,
-        drift_length=4 * length,
-    )
+    return PathNoise.guess(length, 0.25 * h.signal_sd, 0.25 * h.noise_sd, 0.1 * h.signal_sd)
 
 
 def _part(survey: Survey, walked: np.ndarray, middle: float, length: float) -> Survey:

@@ -5,16 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from hand_made import box, prepared_map, some_field, turn_about
 from magmatch.estimation.pose_prior import FAR2
 from magmatch.estimation.walk import Walk
-from magmatch.geometry import random_transform, rotation_matrix
+from magmatch.geometry import random_transform
 from magmatch.registration.decide.support import support_of_map, support_of_walk
 from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
-from magmatch.registration.weigh.evidence import Change, PoseEvidence
+from magmatch.registration.weigh.evidence import PoseEvidence
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 RNG = np.random.default_rng(0)
@@ -55,16 +54,6 @@ def test_links_join_the_samples_that_the_base_explains():
     assert len(support(weighed(replace(pose_at(), blocks=()))).links.target) == 0
 
 
-def test_fitness_is_that_of_the_aligned_vectors():
-    T = turn_about(CENTER, np.array([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]))
-    b = TARGET.sample_field @ rotation_matrix(T).T
-    seen = FIELD.evaluate(T.apply(TARGET.samples)).field
-    product = np.linalg.norm(b, axis=1) * np.linalg.norm(seen, axis=1)
-    expected = np.linalg.norm(np.cross(b, seen), axis=1).sum() / product.sum()
-    assert support(weighed(pose_at(T))).fitness == pytest.approx(expected, rel=1e-6)
-    assert support(weighed(pose_at(RigidTransform.from_translation([30.0, 0, 0])))).fitness is None
-
-
 def test_the_sensors_difference_is_said_in_the_targets_survey_axes():
     pose = pose_at(mode="full")
     D = np.array([[0.02, 0.01, 0.0], [0.0, -0.01, 0.03], [0.01, 0.0, 0.005]])
@@ -76,15 +65,6 @@ def test_the_sensors_difference_is_said_in_the_targets_survey_axes():
     assert said["scale"] == pytest.approx(1 + np.trace(D) / 3)
     assert said["prior_sd"] == [1e-6] * 12
     assert support(weighed()).sensor is None
-
-
-def test_counts_and_shares_are_those_of_the_cells():
-    found = support(weighed(change=Change(np.zeros((1, 3)), np.arange(1), 0.7, 0.0)))
-    assert (found.residual, found.n_inliers) == (1.1, 38)
-    assert found.statistics == {"agreeing_share": 0.95, "n_informative": 40.0, "unchanged": 0.7}
-    nothing = support(weighed(residual=np.inf, n_informative=0, n_good=0))
-    assert nothing.residual is None
-    assert nothing.statistics["agreeing_share"] == 0.0
 
 
 def test_a_walk_is_linked_where_the_map_covers_it():

@@ -10,7 +10,7 @@ from hand_made import box, prepared_map, some_field
 from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.values import FieldValues
-from magmatch.registration.prepared.drift import Drift, field_variance, white_variance
+from magmatch.registration.prepared.drift import Drift, white_variance
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.weigh.covariance import drift_covariance
 
@@ -82,19 +82,6 @@ def test_errors_of_each_sample_are_told_from_those_that_last(noise_sd):
     both = field.evaluate(x + own + slow).field + noise
     assert drift_of(x, both, 0.1, field).lasting_sd == pytest.approx(np.sqrt(0.1**2 - 0.03**2), rel=0.05)
     assert drift_of(x, jumpy, 0.03, field).lasting_sd < 0.01
-
-
-def test_where_nothing_changes_nothing_is_told():
-    x, flat = circles(), Quadratic(0.0)
-    assert white_variance(x, np.zeros_like(x), flat) == 0.0
-    assert drift_of(x, np.zeros_like(x), 0.05, flat).lasting_sd == 0.05
-
-
-def test_field_variance_is_that_of_moved_samples():
-    rng = np.random.default_rng(3)
-    G = rng.normal(size=(3, 3))
-    seen = 0.1 * rng.normal(size=(200_000, 3)) @ G.T
-    np.testing.assert_allclose(field_variance(G[None], 0.1**2)[0], (seen**2).mean(), rtol=0.01)
 
 
 def test_a_survey_that_is_off_as_a_whole_takes_the_pose_along_as_far():

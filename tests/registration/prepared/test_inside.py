@@ -71,32 +71,6 @@ def test_headings_at_one_height_are_counted_as_by_trying():
     assert found == pytest.approx(counted(size, line, turns, rng, height=0.0), abs=0.35)
 
 
-def test_poses_that_weigh_by_their_share_add_up_to_all_that_the_base_knows():
-    found = spread_inside(PosePrior(1.0), slab(4.0, 3.0, 2.0), rod(1.5), np.log)
-    assert found.log_share_inside == pytest.approx(0.0, abs=0.2)
-
-
-def test_turned_frames_count_alike():
-    line, turn = rod(2.0), Rotation.from_rotvec([0.3, -1.1, 0.7])
-    one, other = (
-        spread_inside(PosePrior(1.0), slab(6.0, 2.0, 0.8), points, weight) for points in (line, turn.apply(line))
-    )
-    assert one.log_share_inside == pytest.approx(other.log_share_inside, abs=0.15)
-
-
 def test_a_rough_pose_says_where_the_target_lies_already():
     prior = PosePrior(1.0, RigidTransform.identity(), np.eye(6))
     assert spread_inside(prior, slab(1.0, 1.0, 1.0), rod(1.0), weight) is prior
-
-
-def test_what_never_fits_keeps_a_share():
-    found = spread_inside(PosePrior(1.0), slab(0.5, 0.5, 0.5), rod(500.0), lambda share: 1e4 * (share - 1))
-    assert -12 < found.log_share_inside < -6
-
-
-@pytest.mark.parametrize("shape", [(2, 3, 5), (5, 2, 3), (3, 5, 2)])
-def test_one_point_is_inside_as_often_as_cells_fill_what_their_corners_stand_for(shape):
-    n = int(np.prod(shape))
-    base = Raster.knowing(np.array([7.0, -3, 1]), SPACING, shape, np.arange(n), np.zeros((n, 3)), np.ones(n))
-    found = spread_inside(PosePrior(1.0), base, np.zeros((1, 3)), weight).log_share_inside
-    assert found == pytest.approx(np.log(np.prod(1 - 1 / np.array(shape))), abs=0.08)

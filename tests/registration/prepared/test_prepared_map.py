@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is asked of a map before a search, on maps whose field is known exactly."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -12,10 +10,8 @@ from magmatch.features.invariants import rotation_invariants, traceless_symmetri
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE
 from magmatch.field.values import FieldValues
-from magmatch.geometry import random_transform, rotate_vectors, transform_points
+from magmatch.geometry import random_transform
 from magmatch.registration.prepared.prepared_map import (
-    MEDIAN_CHI2_3,
-    common_length,
     correlation_length_of,
     height_range,
     prepare,
@@ -38,13 +34,6 @@ def smooth_field(length, sd, rng, n=4000):
     size = sd * length * np.sqrt(2 / 200)
     field = -size * np.einsum("nw,nwc->nc", np.sin(phase), waves)
     return FieldValues(field, -size * np.einsum("nw,nwa,nwb->nab", np.cos(phase), waves, waves))
-
-
-def test_samples_are_the_surveys_in_its_model_frame(field_map, prepared):
-    T = field_map.T_map_model
-    np.testing.assert_allclose(transform_points(prepared.samples, T), field_map.survey.positions, atol=1e-12)
-    np.testing.assert_allclose(rotate_vectors(prepared.sample_field, T), field_map.survey.field, atol=1e-18)
-    assert prepared.noise_sd == field_map.hyperparameters.noise_sd
 
 
 def test_points_carry_the_maps_field_and_the_invariants_of_its_lawful_gradient(field_map, prepared):
@@ -72,31 +61,6 @@ def test_spreads_are_the_root_mean_square_of_what_draws_differ_by(prepared):
 def test_the_correlation_length_of_a_smooth_random_field_is_its_lengthscale(length):
     found = correlation_length_of(smooth_field(length, 5e-6, np.random.default_rng(3)))
     assert found == pytest.approx(length, rel=0.06)
-
-
-def test_the_correlation_length_follows_the_unit_of_length_and_not_that_of_the_field():
-    values = smooth_field(1.0, 5e-6, np.random.default_rng(3), n=300)
-    length = correlation_length_of(values)
-    assert correlation_length_of(FieldValues(1e6 * values.field, 1e6 * values.gradient)) == pytest.approx(length)
-    assert correlation_length_of(FieldValues(values.field, values.gradient / 100)) == pytest.approx(100 * length)
-    assert correlation_length_of(FieldValues(values.field + 3e-5, values.gradient)) == pytest.approx(length)
-
-
-def test_a_pair_is_compared_by_the_shorter_length(prepared):
-    longer = replace(prepared, correlation_length=2 * prepared.correlation_length)
-    assert common_length(prepared, longer) == common_length(longer, prepared) == prepared.correlation_length
-
-
-def test_the_median_that_turns_squares_into_variances_is_that_of_three_components():
-    squares = (np.random.default_rng(4).standard_normal((400_000, 3)) ** 2).sum(axis=1)
-    assert np.median(squares) == pytest.approx(MEDIAN_CHI2_3, rel=0.01)
-
-
-def test_points_are_an_eighth_of_the_correlation_length_apart_and_no_more_than_a_few_thousand(prepared):
-    cubes = np.floor(prepared.points / (prepared.correlation_length / 8)).astype(int)
-    assert len(np.unique(cubes, axis=0)) == len(prepared.points) <= 4000
-    every = np.floor(prepared.samples / (prepared.correlation_length / 8)).astype(int)
-    assert len(np.unique(every, axis=0)) == len(prepared.points)
 
 
 def test_a_constant_field_changes_over_no_less_than_its_maps_functions():

@@ -2,7 +2,6 @@
 """Trilinear look-ups against SciPy's and against finite differences, on values that follow no law."""
 
 import numpy as np
-import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from hand_made import box, prepared_map, some_field
@@ -50,25 +49,6 @@ def test_a_cell_is_known_where_all_its_corners_are():
         assert not np.concatenate([v.ravel() for v in (field, spread, gradient)]).any()
         far = inside + SPACING * (1 - 2 * np.array(corner)) * [1, 0, 0]
         assert raster_of(sd).lookup(far[None])[3].all()
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_raster_ends_at_its_outermost_points(axis):
-    middle, side = ORIGIN + SPACING * 1.5, SPACING * np.eye(3)[axis]
-    last = SHAPE[axis] - 1
-    known = [
-        raster_of().lookup((middle + side * (k - 1.5))[None])[3][0] for k in (-0.01, 0.01, last - 0.01, last + 0.01)
-    ]
-    assert known == [False, True, True, False]
-
-
-def test_volume_and_whole_share_count_points_and_cells():
-    sd = SD.copy()
-    sd[0] = -1.0
-    assert raster_of(sd).volume == pytest.approx(4 * 4 * 6 * SPACING**3)
-    # Of the four layers of cells, one touches what is known without being whole.
-    assert raster_of(sd).whole_share == pytest.approx(3 / 4)
-    assert raster_of().whole_share == 1.0
 
 
 def test_of_a_field_that_is_linear_nothing_is_lost():

@@ -8,16 +8,16 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from hand_made import box, prepared_map, some_field
-from magmatch.estimation.hypotheses import Hypotheses
+from magmatch.estimation.candidate_poses import CandidatePoses
+from magmatch.estimation.limits import N_CANDIDATES
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform, rotation_matrix
-from magmatch.registration.search.candidate import N_CANDIDATES
 from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     choose_pairs,
-    hypotheses,
     invariants_of,
+    pair_poses,
     pair_search,
     tabulate_pairs,
     weigh_bins,
@@ -92,7 +92,7 @@ def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_betwe
     assert (np.diff(distance2, axis=1) >= 0).all()
     is_there = distance2[:, 0] < 1e-6
     assert is_there.mean() > 0.2
-    R, pb, rows, _ = hypotheses(table, walk, i, j, similar)
+    R, pb, rows, _ = pair_poses(table, walk, i, j, similar)
     assert rows.tolist() == np.repeat(np.arange(len(i)), 3).tolist()
     first = np.arange(len(i)) * 3
     true = R[first[is_there]]
@@ -103,7 +103,7 @@ def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_betwe
 
 def test_a_walk_that_is_explained_exactly_says_more_the_less_noise_the_base_has(base, walk, table):
     center = walk.positions.mean(axis=0)
-    true = Hypotheses(rotation_matrix(T_TRUE)[None], T_TRUE.apply(center)[None], np.zeros(1, int), center[None])
+    true = CandidatePoses(rotation_matrix(T_TRUE)[None], T_TRUE.apply(center)[None], np.zeros(1, int), center[None])
     scores = []
     for noise_sd in (0.1e-6, 1e-6, 10e-6):
         evidence = weigh_bins(replace(base, noise_sd=noise_sd), table, walk)

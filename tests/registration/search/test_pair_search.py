@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-from dataclasses import astuple, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -8,18 +8,16 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.path_noise import PathNoise, Stretch, most_likely
 from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig
-from magmatch.estimation.walk import bin_along_path, choose_search, walk_of
+from magmatch.estimation.walk import walk_of
 from magmatch.geometry import exp_se3, log_se3, perturbation, random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, WalkConfig
-from magmatch.registration.index.map_index import MapIndex
-from magmatch.registration.index.walk_index import index_walks
+from magmatch.registration.index.map_index import MapIndex, index_walks
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.result import Status
 from magmatch.registration.search.pair_search import pair_search
-from magmatch.registration.steps import settle_and_decide
+from magmatch.registration.steps import refine_and_weigh, settle_and_decide
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 
@@ -55,7 +53,7 @@ def register_walk(index, target, seed=0, prior=None):
     config = RegistrationConfig(prior=prior or PosePriorConfig())
     strategy = WalkStrategy(target, target, config, seed)
     pair = strategy.pair(MapIndex(index.base, lambda: index))
-    weighed = strategy.refine_and_weigh(pair, strategy.search(pair))
+    weighed = refine_and_weigh(strategy, pair, strategy.search(pair))
     return settle_and_decide(weighed, config.decision, Clock())
 
 
@@ -176,62 +174,3 @@ def test_refinement_ends_at_the_truth_from_nearby(rooms, index):
     start = truth * exp_se3(np.array([0.04, -0.03, 0.05, 0.05, 0.04, -0.03]))
     best = weigh_walk(index.base, walk, [start], index.noise, index.length, PosePrior(1.0), WalkConfig().evidence)[0]
     assert np.abs(log_se3(truth.inv() * best.T_base_target)).max() < 0.02
-
-
-def test_learned_noise_explains_stretches_as_well_as_the_noise_they_were_drawn_from():
-    rng = np.random.default_rng(8)
-    true = PathNoise(1e-6, 0.8, 0.3e-6, 0.5e-6, 1.0, 1.0, 0.02, 0.06, 4.0)
-    x = np.stack([np.linspace(0, 5, 18), np.zeros(18), np.zeros(18)], axis=1)
-    stretches = []
-    for _ in range(40):
-        gradient = 5e-6 * rng.standard_normal((18, 3, 3))
-        field = np.tile(Rotation.random(random_state=rng).apply([0, 0, 50e-6]), (18, 1))
-        sd = np.full(18, 0.2e-6)
-        L = np.linalg.cholesky(true.full(cdist(x, x), sd, gradient, field))
-        stretches.append(Stretch(x, (L @ rng.standard_normal(54)).reshape(18, 3), sd, gradient, field))
-    guess = PathNoise(0.5e-6, 1.5, 0.6e-6, 0.3e-6, 1.0, 1.0, 0.01, 0.03, 3.0)
-    learned = most_likely(guess, stretches)
-    # The misfit and what moves with the walker are told apart; the rest is looser.
-    for name in ("misfit_sd", "nugget_sd", "attitude_sd", "drift_sd"):
-        assert 0.6 < getattr(learned, name) / getattr(true, name) < 1.6, (name, astuple(learned))
-    assert learned.spread < 0.35
-
-
-def test_noise_covariance_is_positive_definite_and_turns_with_the_walk():
-    rng = np.random.default_rng(2)
-    noise = PathNoise(1e-6, 0.8, 0.3e-6, 0.5e-6, 1.0, 1.0, 0.02, 0.06, 4.0)
-    x, field, gradient = (
-        rng.standard_normal((9, 3)),
-        5e-5 * rng.standard_normal((9, 3)),
-        rng.standard_normal((9, 3, 3)),
-    )
-    R, sd = Rotation.random(random_state=rng).as_matrix(), np.full(9, 1e-7)
-    C = noise.full(cdist(x, x), sd, 5e-6 * gradient, field)
-    turned = noise.full(cdist(x, x), sd, 5e-6 * R @ gradient @ R.T, field @ R.T)
-    big = np.kron(np.eye(9), R)
-    np.testing.assert_allclose(turned, big @ C @ big.T, rtol=1e-9, atol=1e-24)
-    assert np.linalg.eigvalsh(C).min() > 0
-
-
-def test_a_line_is_searched_by_pairs_and_a_room_by_invariants(rooms):
-    assert choose_search(Survey(path(CORNERS), np.ones((len(path(CORNERS)), 3))), 0.5) == "pairs"
-    assert choose_search(rooms[0].survey, 0.5) == "invariants"
-    rows = np.concatenate([[[x, y, 0.0] for x in np.arange(0, 3, 0.05)] for y in np.arange(0, 3, 0.2)])
-    assert choose_search(Survey(rows, np.ones_like(rows)), 0.5) == "invariants"
-
-
-def test_bins_follow_the_path_and_do_not_join_separate_passes():
-    there_and_back = np.concatenate([path(CORNERS[:2]), path(CORNERS[1::-1])])
-    rows = bin_along_path(there_and_back, 0.1)
-    assert np.all(np.diff(rows) >= 0)
-    assert np.all(np.diff(rows) <= 1)
-    for k in range(rows[-1] + 1):
-        assert np.ptp(there_and_back[rows == k], axis=0).max() < 0.25
-
-
-def test_the_correlation_length_of_a_map_does_not_depend_on_its_frame(rooms):
-    T = random_transform(np.random.default_rng(3))
-    lengths = [
-        prepare(m, 4, np.random.default_rng(0)).correlation_length for m in (rooms[0], rooms[0].transformed(T))
-    ]
-    assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)

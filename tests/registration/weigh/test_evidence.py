@@ -7,12 +7,9 @@ from math import comb
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import chi2
 
 from hand_made import box, prepared_map, seen_from, some_field, turn_about
-from magmatch.estimation.map_null_model import average_cells
-from magmatch.estimation.pose_prior import FAR2, PosePrior
-from magmatch.geometry import rotation_matrix
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.cells import (
@@ -22,7 +19,7 @@ from magmatch.registration.weigh.cells import (
     null_models_of,
 )
 from magmatch.registration.weigh.covariance import joint_covariance
-from magmatch.registration.weigh.evidence import Change, weigh_pose
+from magmatch.registration.weigh.evidence import weigh_pose
 
 FIELD = some_field(3, slope=10e-6, bend=0.0)  # linear: what is interpolated is exact, in every frame
 PRIOR = PosePrior(10.0)
@@ -84,13 +81,6 @@ def test_evidence_falls_by_half_the_sum_of_squares_of_what_the_sensors_must_diff
     plain = weigh_pose(base, target, pose, nulls, PRIOR).log_evidence
     priced = weigh_pose(base, read, replace(pose, sensor=sensor), nulls, PRIOR).log_evidence
     assert plain - priced == pytest.approx(0.5 * (0.5**2 + 1 + 2**2 + 1.5**2), rel=1e-6)
-
-
-def test_a_prior_pays_for_the_search_by_its_own_density(pair):
-    base, target = pair
-    pose, nulls = pose_at(base, target), null_models_of(base, target)
-    wide = weigh_pose(base, target, pose, nulls, PosePrior(1000.0)).log_evidence
-    assert weigh_pose(base, target, pose, nulls, PRIOR).log_evidence - wide == pytest.approx(np.log(100))
 
 
 def test_evidence_does_not_change_with_the_frames(pair):
@@ -204,55 +194,6 @@ def test_a_pose_off_the_map_has_neither_cells_nor_evidence(pair):
     assert (found.overlap, found.n_informative, found.good_share) == (0.0, 0, 0.0)
 
 
-def test_cells_compare_the_turned_field_with_the_bases_where_all_their_samples_are_known(pair):
-    base, target = pair
-    T = turn_about(np.zeros(3), np.array([0.1, -0.2, 0.3, 0.9, 0.2, 0.1]))
-    nulls = null_models_of(base, target)
-    null = nulls.target
-    seen = compare_cells(base, target, T, target.sample_field, null)
-    x = T.apply(target.samples)
-    np.testing.assert_array_equal(seen.is_known, base.raster.lookup(x)[3])
-    assert 0.3 < seen.is_known.mean() < 0.99
-    residual = target.sample_field @ rotation_matrix(T).T - FIELD.evaluate(x).field
-    for k in range(len(null.cells.counts)):
-        inside = null.cells.cell == k
-        assert (k in seen.rows) == seen.is_known[inside].all()
-        if k in seen.rows:
-            np.testing.assert_allclose(seen.residual[k], residual[inside].mean(axis=0), atol=1e-16)
-            np.testing.assert_allclose(seen.map_variance[k], SD**2, rtol=1e-9)
-    known = seen.is_known
-    expected = (residual[known] ** 2).sum(axis=1) / (2 * 0.3e-6**2 + SD**2)
-    np.testing.assert_allclose(seen.sample_chi2[known], expected, rtol=1e-6)
-
-
-def test_a_cells_mean_is_as_noisy_as_both_surveys_and_never_better_than_a_tenth_of_that(pair):
-    base, target = pair
-    null = null_models_of(base, replace(target, noise_sd=0.4e-6)).target
-    np.testing.assert_allclose(null.noise, (0.3**2 + 0.4**2) * 1e-12 * (1 / null.cells.counts + 0.1), rtol=1e-9)
-    longer = null_models_of(replace(base, correlation_length=0.4), target).target
-    assert len(longer.cells.counts) == len(average_cells(target.samples, 0.4).counts)
-
-
-def test_cells_are_counted_by_what_stands_out_agrees_and_disagrees(pair):
-    """Cells whose residuals are set by hand, in units of what their field stands out by."""
-    base, target = pair
-    nulls = null_models_of(base, target)
-    null = nulls.target
-    c = null.cells
-    n2 = ((null.field - null.field.mean(axis=0)) ** 2).sum(axis=1)
-    rng = np.random.default_rng(6)
-    size = np.sqrt(n2 * rng.choice([0.05, 0.15, 0.2, 0.3, 0.5], len(n2)))
-    exact = FIELD.evaluate(target.samples).field
-    field = exact + (size / np.sqrt(3))[c.cell][:, None]
-    found = weigh_pose(base, replace(target, sample_field=field), pose_at(base, target), nulls, PRIOR)
-    r2 = size**2
-    V = np.maximum(null.noise + SD**2, np.median(r2) / chi2.median(3))
-    stands_out = n2 > FAR2 * V
-    assert found.n_informative == stands_out.sum() > 5
-    assert found.n_good == (stands_out & (r2 < FAR2 * V)).sum()
-    assert found.misfit == pytest.approx(np.sqrt(np.mean(r2 / (3 * (null.noise + SD**2)))), rel=1e-4)
-
-
 @pytest.mark.parametrize("of", ["base", "target"])
 def test_positions_that_are_off_by_as_much_as_is_stated_leave_no_misfit(pair, of):
     """Each cell's positions by an error of its own: residuals that are many times the noise, and expected."""
@@ -291,42 +232,6 @@ def test_choosing_cells_costs_the_logarithm_of_how_many_choices_there_are(pair):
     assert worst.max() <= ((residual[rest] ** 2).sum(axis=1) / null.noise[rest]).min()
     nothing = replace(seen, rows=np.zeros(0, dtype=int))
     assert agreeing_cells(nothing, null)[1] == -np.inf
-
-
-@pytest.mark.parametrize("spread", [1e-7, 1e-6, 3e-6])
-def test_of_all_shares_the_one_is_chosen_whose_odds_pay_best_for_the_choice(pair, spread):
-    base, target = pair
-    nulls = null_models_of(base, target)
-    null = nulls.target
-    n = len(null.cells.counts)
-    residual = spread * np.random.default_rng(9).standard_normal((n, 3))
-    seen = CellComparison(np.ones(1, bool), np.ones(1), np.arange(n), residual, np.full(n, spread**2), np.zeros(n))
-    shares = (1.0, 0.9, 0.7, 0.5)
-    each = [agreeing_cells(seen, null, (share,)) for share in shares]
-    best = agreeing_cells(seen, null, shares)
-    assert best[1] == max(odds for _, odds, _ in each)
-    # Cells that agree alike are all counted: the choice would cost more than it brings.
-    assert len(best[0]) == n
-
-
-def test_beside_a_change_its_own_odds_stand_for_the_cells_and_its_field_is_taken_off(pair):
-    base, target = pair
-    pose, nulls = pose_at(base, target), null_models_of(base, target)
-    change = 5e-6 * np.sin(3 * target.samples)
-    null = nulls.target
-    rows = np.arange(0, len(null.cells.counts), 2)
-    changed = replace(target, sample_field=target.sample_field + change)
-    plain = weigh_pose(base, target, pose, nulls, PRIOR)
-    beside = weigh_pose(base, changed, pose, nulls, PRIOR, Change(change, rows, 0.5, 77.0))
-    back = null_models_of(target, base).target
-    ratio = np.mean([
-        null.log_ratio(*of_all(base, target, null))[0], back.log_ratio(*of_all(target, base, back))[0]
-    ])  # fmt: skip
-    assert beside.log_evidence - 77.0 == pytest.approx(plain.log_evidence - ratio)
-    assert (beside.unchanged, beside.is_beside_change, plain.unchanged) == (0.5, True, 1.0)
-    seen = compare_cells(base, target, HERE, target.sample_field, null)
-    assert beside.misfit == pytest.approx(seen.misfit(null, rows))
-    assert beside.n_informative <= len(rows)
 
 
 def of_all(base, target, null):

@@ -11,7 +11,7 @@ from hand_made import Polynomial, box, prepared_map, some_field
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine, step_between
 from magmatch.registration.refine.sensors import SensorConfig
-from magmatch.registration.weigh.map_covariance import map_covariance
+from magmatch.registration.weigh.covariance import map_covariance
 
 CONFIG = RefinementConfig(sensor=SensorConfig(mode="none"))
 FIELD = some_field(3, slope=10e-6)

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypothesis import Hypothesis
-from magmatch.estimation.posterior import Posterior
+from magmatch.estimation.posterior import Hypothesis, Posterior
 from magmatch.registration.decide.decision import Verdict
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 
-from magmatch.estimation.hypothesis import Hypothesis
-from magmatch.estimation.posterior import RIGHT_WITHIN, Posterior, needed_evidence
+from magmatch.estimation.pose_prior import RARE
+from magmatch.estimation.posterior import RIGHT_WITHIN, Hypothesis, Posterior, needed_evidence
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.result import Status
 from magmatch.settings import Settings
@@ -17,7 +17,7 @@ class DecisionConfig(Settings):
     """When a pose is accepted."""
 
     # Least probability that the pose is right.
-    min_probability: float = Field(default=0.99, gt=0, lt=1)
+    min_probability: float = Field(default=1 - RARE, gt=0, lt=1)
     # Largest standard deviation in the worst direction: of the target's position, m (None: a share of the field's
     # correlation length), and of its rotation, rad.
     max_sd_translation: float | None = Field(default=None, gt=0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypothesis import Hypothesis, worst_sd
+from magmatch.estimation.posterior import Hypothesis, worst_sd
 from magmatch.geometry import adjoint, perturbation, perturbation_between, rotation_matrix
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Covariance6, Vector3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`Atlas`: a folder of maps, each in its own frame, with their indexes."""
+"""A target may lie in one map, or in one of many: `Atlas`, a folder of maps, each in its own frame."""
 
 import logging
 from collections.abc import Collection, Iterator
@@ -14,6 +14,7 @@ from magmatch.data.formats.sniff import may_be_map
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.estimation.limits import MAX_LOADED
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
 from magmatch.progress import Progress, followed, tell
@@ -25,9 +26,6 @@ from magmatch.registration.search.retrieval import count_agreement, count_votes,
 from magmatch.threads import single_threaded
 
 log = logging.getLogger(__name__)
-
-# Maps that are kept in memory once they were needed.
-MAX_LOADED = 20
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -115,6 +113,47 @@ class Atlas:
         while len(self._loaded) > MAX_LOADED:
             self._loaded.pop(next(iter(self._loaded)))
         return index
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OneBase:
+    """A single map, which needs no votes."""
+
+    index: MapIndex
+    config: RegistrationConfig
+
+    @property
+    def length(self) -> float:
+        """Its correlation length, m."""
+        return self.index.length
+
+    @property
+    def volume(self) -> float:
+        """Volume of the region that it knows, m^3."""
+        return self.index.volume
+
+    def likely_for_walk(self, target: Survey, seed: int) -> list[MapIndex]:  # noqa: ARG002
+        """The map itself."""
+        return [self.index]
+
+    def likely_for_map(self, target: PreparedMap, seed: int) -> list[MapIndex]:  # noqa: ARG002
+        """The map itself."""
+        return [self.index]
+
+    def length_of(self, likely: list[MapIndex]) -> float:
+        """Its correlation length, m."""
+        return likely[0].length
+
+    def load(self, one: MapIndex) -> MapIndex:
+        """The map itself."""
+        return one
+
+    def name_of(self, one: MapIndex) -> None:
+        """None."""
+
+
+# What a target may lie in; their steps are alike
+Bases = Atlas | OneBase
 
 
 @single_threaded

@@ -18,16 +18,15 @@ import numpy as np
 
 from magmatch.brief import brief
 from magmatch.errors import DataFormatError
-from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.path_noise import PathNoise, learn_path_noise
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.walk_index import WalkIndex, index_walks
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import PreparedMap, known_samples, prepare
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.registration.search.kdtree import NeighbourTree
-from magmatch.registration.search.pair_search import PairTable
+from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
 from magmatch.runner import program
 from magmatch.store import Stored, naming, open_stored, save
 from magmatch.threads import one_blas_thread
@@ -39,6 +38,18 @@ SUFFIX = ".index"
 KINDS = (NeighbourTree, PairTable, PathNoise)
 # What is stored of `PreparedMap`.
 PREPARED = ("points", "point_field", "point_gradient", "gradient_sd", "invariants", "invariant_sd")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WalkIndex:
+    """A base map made ready for walks."""
+
+    base: PreparedMap
+    length: float  # m: the base's correlation length
+    # What residuals of another walk look like, for registrations and for localisation
+    noise: PathNoise
+    live_noise: PathNoise
+    table: PairTable
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -210,6 +221,13 @@ def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapI
     index = _index_over(prepared, config, index_key(base.file, config) if base.file else "")
     index.keep()
     return index
+
+
+def index_walks(base: PreparedMap, config: PairSearchConfig, rng: np.random.Generator) -> WalkIndex:
+    """Learn the residuals' covariance and list the base's pairs of points, once for all walks."""
+    length = base.correlation_length
+    noise, live_noise = learn_path_noise(base.field_map, length, rng)
+    return WalkIndex(base, length, noise, live_noise, tabulate_pairs(base, length, noise.total_sd, config))
 
 
 def _index_over(base: PreparedMap, config: RegistrationConfig, key: str) -> MapIndex:

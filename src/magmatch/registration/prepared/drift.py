@@ -12,7 +12,8 @@ from scipy.spatial.distance import cdist
 from scipy.special import ndtri
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.cubes import FEW_POINTS, MOST_POINTS, even_choice
+from magmatch.estimation.cubes import even_choice
+from magmatch.estimation.limits import FEW_POINTS, MOST_POINTS
 from magmatch.estimation.pose_prior import RARE
 from magmatch.field.folds import has_path_order
 from magmatch.field.values import FieldFunction, gradient_norm, gradient_of

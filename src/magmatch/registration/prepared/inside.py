@@ -15,8 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.compiled import compiled_ahead
-from magmatch.estimation.cubes import FEW_POINTS, even_choice
-from magmatch.estimation.pose_prior import MOST_DRAWN, UP, PosePrior
+from magmatch.estimation.cubes import even_choice
+from magmatch.estimation.limits import FEW_POINTS, MOST_DRAWN
+from magmatch.estimation.pose_prior import UP, PosePrior
 from magmatch.registration.prepared.raster import RASTER, Raster, find_cell
 from magmatch.typing import Points, Scalars, Tensors
 

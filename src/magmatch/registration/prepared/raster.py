@@ -8,17 +8,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from magmatch.compiled import compiled, compiled_ahead, record
-from magmatch.estimation.hypotheses import OUTLIER_SHARE
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE
+from magmatch.estimation.limits import MAX_RASTER, MAX_REFINED
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
 
-MAX_POINTS = 1_500_000
 # Least share of the map's own samples that its raster must know.
 MIN_COVERED = 0.95
-# Partly known cells match nothing. Around a line most cells are such, and half of the known region would be lost;
-# rasters with more of them than may match nothing are therefore refined, up to a number of known points.
-MAX_REFINED = 20_000
 
 
 class Raster(NamedTuple):
@@ -79,7 +76,8 @@ def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Rast
         raster = _rasterize(field_map, samples, spacing, draws)
         *_, is_known = raster.lookup(samples)
         # On a coarse grid, a thin layer may fall between the points, and a line may lose its surroundings.
-        is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_POINTS / 8
+        is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_RASTER / 8
+        # Partly known cells match nothing. Around a line most cells are such: half of the known region would be lost.
         is_ragged = raster.whole_share < 1 - OUTLIER_SHARE and 8 * (raster.sd >= 0).sum() < MAX_REFINED
         if raster.spacing > spacing or not (is_lost or is_ragged):
             return raster
@@ -90,7 +88,7 @@ def _rasterize(field_map: FieldMap, samples: Points, spacing: float, draws: Sequ
     posterior = field_map.posterior
     margin = 2 * spacing
     extent = np.ptp(samples, axis=0) + 2 * margin
-    spacing = max(spacing, float(np.cbrt(np.prod(np.maximum(extent, spacing)) / MAX_POINTS)))
+    spacing = max(spacing, float(np.cbrt(np.prod(np.maximum(extent, spacing)) / MAX_RASTER)))
     grid = RegularGrid.over(samples, spacing, margin)
     points = grid.points()
     rows = np.flatnonzero(posterior.knows(points))

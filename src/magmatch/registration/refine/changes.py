@@ -14,23 +14,17 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
+from magmatch.estimation.candidate_poses import pose_inaccuracy
+from magmatch.estimation.gauss_newton import is_close, shortened
+from magmatch.estimation.limits import CHANGE_SAMPLES, MOST_STEPS, N_CHANGED, N_CHARGES, N_STRENGTHS
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.field.values import gradient_of
-from magmatch.geometry import perturbation, transform_points
+from magmatch.geometry import transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
-from magmatch.registration.refine.refinement import (
-    CLOSE,
-    MAX_SHIFT,
-    MAX_TURN,
-    MOST_STEPS,
-    Lookup,
-    RefinedPose,
-    ResidualBlock,
-    residual_jacobian,
-)
+from magmatch.registration.refine.refinement import Lookup, RefinedPose, ResidualBlock, residual_jacobian
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
@@ -40,8 +34,6 @@ DISTANCE = 0.6
 FADED = 1e-5
 # Factor on the pose's covariance because the same data selected the remaining charges (measured).
 SELECTION_INFLATION = 16.0
-# Updates of the charges' strengths per step of the pose.
-N_STRENGTHS = 4
 EPS = float(np.finfo(float).eps)
 
 
@@ -51,12 +43,10 @@ class ChangeConfig(Settings):
     is_enabled: bool = True
     # Misfit of the best pose's cells above which something may have moved: right poses without changes stay below it.
     max_misfit: float = Field(default=2.0, ge=0)
-    # Poses that are tried.
-    n_candidates: int = Field(default=2, ge=1)
-    # Samples compared, and maximum number of charges for the change: with half as many of both, the target's own
-    # field is described so badly that wrong poses win.
-    n_samples: int = Field(default=1000, ge=MIN_SAMPLES)
-    n_charges: int = Field(default=400, ge=100)
+    # Poses that are tried; samples compared, and most charges for the change.
+    n_candidates: int = Field(default=N_CHANGED, ge=1)
+    n_samples: int = Field(default=CHANGE_SAMPLES, ge=MIN_SAMPLES)
+    n_charges: int = Field(default=N_CHARGES, ge=100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -111,24 +101,18 @@ def refine_beside_changes(
     samples = _choose_samples(base, target, pose.T_base_target, agrees, config, rng)
     if samples is None:
         return None
-    lengthscale = common_length(base, target)
-    longest = np.repeat([MAX_TURN, MAX_SHIFT * lengthscale], 3)
+    longest = np.repeat(pose_inaccuracy(common_length(base, target)), 3)
     gram = samples.charges.T @ (samples.weight[:, None] * samples.charges)
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
     k = 6 + len(pose.sensor_sd)
     lookup = _look_up(base, samples, pose)
     estimate = _solve(lookup, samples, gram, pose, prior, config.max_misfit**2)
     for _ in range(MOST_STEPS):
-        xi = estimate.values[:k] / max(1.0, float(np.abs(estimate.values[:6] / longest).max()))
-        pose = replace(
-            pose,
-            T_base_target=pose.T_base_target * perturbation(xi[:6], pose.center),
-            sensor=pose.sensor.stepped(xi[6:], 4 * pose.sensor_sd),
-        )
-        is_close = float(xi @ np.linalg.solve(estimate.covariance[:k, :k], xi)) < CLOSE**2
+        xi = shortened(estimate.values[:k], longest)
+        pose, is_last = pose.stepped(xi), is_close(xi, np.linalg.inv(estimate.covariance[:k, :k]))
         lookup = _look_up(base, samples, pose)
         estimate = _solve(lookup, samples, gram, pose, prior, estimate.noise, estimate)
-        if is_close:
+        if is_last:
             break
     block = _residual_block(lookup, samples, gram, pose, estimate, target.drift)
     known = prior.rows(pose.T_base_target, pose.center)[0]
@@ -184,7 +168,7 @@ def _solve(
     if last:
         lasting = last.strengths > FADED * last.strengths.max(initial=0.0)
         left, strengths = last.charges[lasting], last.strengths[lasting]
-    charges, J = samples.charges[:, left], residual_jacobian(lookup, pose.center, pose.sensor).reshape(len(r), k)
+    charges, J = samples.charges[:, left], residual_jacobian(lookup, pose).reshape(len(r), k)
     WJ, Wr = samples.weight[:, None] * J, samples.weight * r
     cross = -WJ.T @ charges
     A = np.block([[WJ.T @ J, cross], [cross.T, gram[np.ix_(left, left)]]])
@@ -260,7 +244,7 @@ def _residual_block(
     """Information of the samples on pose and sensor, marginalised over the charges."""
     n, k, left = len(lookup.positions), 6 + len(pose.sensor_sd), estimate.charges
     charges = samples.charges[:, left]
-    J = residual_jacobian(lookup, pose.center, pose.sensor).reshape(3 * n, k)
+    J = residual_jacobian(lookup, pose).reshape(3 * n, k)
     weight = samples.weight / estimate.noise
     stiff = gram[np.ix_(left, left)] / estimate.noise + np.diag(1 / estimate.strengths)
     free = J - charges @ np.linalg.solve(stiff, charges.T @ (weight[:, None] * J))

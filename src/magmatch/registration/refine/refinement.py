@@ -9,7 +9,7 @@ Residuals are taken half-way between the two gains: with the base's gain, a targ
 better, and base and target could not be swapped.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -17,24 +17,19 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
-from magmatch.estimation.cubes import MOST_POINTS, RANKING_POINTS, sum_by_cube
-from magmatch.estimation.hypotheses import N_REFINED, POSE_SHIFT, POSE_TURN
+from magmatch.estimation.candidate_poses import pose_inaccuracy
+from magmatch.estimation.cubes import sum_by_cube
+from magmatch.estimation.gauss_newton import STUDENT_DOF, is_close, shortened, student_weights
+from magmatch.estimation.limits import CLEAR, MOST_POINTS, MOST_STEPS, N_REFINED, RANKING_POINTS
 from magmatch.estimation.model_prior import SENSORS_DIFFER
 from magmatch.estimation.pose_prior import FAR2, PosePrior
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, perturbation_between, rotate_vectors, skew, transform_points
-from magmatch.registration.prepared.drift import Drift, field_variance
+from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, levels_to_try, prior_sd
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
-
-# Degrees of freedom of the Student-t residual model: outliers lose weight, inliers keep it.
-STUDENT_DOF = 4.0
-# Steps end when one moves the estimate by less than this many of its standard deviations, or after so many.
-CLOSE, MOST_STEPS = 0.1, 10
-# Longest step, rad and in correlation lengths: as far as a hypothesis may be off.
-MAX_TURN, MAX_SHIFT = POSE_TURN, POSE_SHIFT
 
 
 class RefinementConfig(Settings):
@@ -47,7 +42,7 @@ class RefinementConfig(Settings):
     n_steps: int = Field(default=MOST_STEPS, ge=1)
     # Best candidates to refine and compare; the others too if none of these has this much evidence, nats.
     n_candidates: int = Field(default=N_REFINED, ge=1)
-    clear_log_evidence: float = 50.0
+    clear_log_evidence: float = CLEAR
     # What may differ between the two magnetometers.
     sensor: SensorConfig = Field(default_factory=SensorConfig)
 
@@ -88,6 +83,17 @@ class RefinedPose:
         known: Matrix = block_diag(self.prior_information, np.diag(self.sensor_sd**-2))
         return known
 
+    def stepped(self, xi: np.ndarray) -> "RefinedPose":
+        """Give the pose after a step of it, about the centre, and of the sensor; none is stated of the new pose.
+
+        No parameter of the sensor leaves what its prior admits.
+        """
+        return replace(
+            self,
+            T_base_target=self.T_base_target * perturbation(xi[:6], self.center),
+            sensor=self.sensor.stepped(xi[6:], np.sqrt(FAR2) * self.sensor_sd),
+        )
+
 
 def refine(
     base: PreparedMap,
@@ -104,16 +110,17 @@ def refine(
     differ, see `prior_sd`; ``rng`` picks the samples if there are more than needed.
     """
     rows = some_rows(base, target, config, rng)
-    center = target.samples.mean(axis=0)
+    lengthscale, center = common_length(base, target), target.samples.mean(axis=0)
     if isinstance(start, RefinedPose):
-        T, sensor, sd, log_prior = start.T_base_target, start.sensor, start.sensor_sd, start.log_prior
+        pose = replace(start, center=center)
     else:
-        T, sensor = start, identical_sensors(config.sensor, level)
+        sensor = identical_sensors(config.sensor, level)
         sd = prior_sd(config.sensor, level, sensor.n_parameters)
         log_prior = SENSORS_DIFFER * levels_to_try(config.sensor).index(level)
-    lengthscale = common_length(base, target)
+        pose = RefinedPose(start, center, sensor, sd, np.zeros((6, 6)), (), log_prior)
+    scale = np.concatenate([np.repeat(pose_inaccuracy(lengthscale), 3), pose.sensor_sd])
     for _ in range(config.n_steps):
-        blocks = compare(base, target, T, center, sensor, rows)
+        blocks = compare(base, target, pose, rows)
         if not blocks:
             break
         v = -np.sum([d.scores.sum(axis=0) for d in blocks], axis=0)
@@ -122,17 +129,19 @@ def refine(
         # Neighbouring residuals are not independent; unscaled they would override any prior.
         excess = overdispersion(blocks, 2 * lengthscale)
         A, v = A / excess, v / excess
-        known, slope, _ = prior.rows(T, center)
+        known, slope, _ = prior.rows(pose.T_base_target, center)
         A[:6, :6] += known
         v[:6] -= slope
-        A[6:, 6:] += np.diag(sd**-2)
-        v[6:] -= sensor.parameters / sd**2
-        xi = _step(A, v, sd, lengthscale)
-        T, sensor = T * perturbation(xi[:6], center), sensor.stepped(xi[6:], np.sqrt(FAR2) * sd)
-        if float(xi @ A @ xi) < CLOSE**2:
+        A[6:, 6:] += np.diag(pose.sensor_sd**-2)
+        v[6:] -= pose.sensor.parameters / pose.sensor_sd**2
+        # Of least norm, so that a direction that the data do not determine does not change.
+        xi = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
+        xi = shortened(xi, scale[:6])
+        pose = pose.stepped(xi)
+        if is_close(xi, A):
             break
-    known = prior.rows(T, center)[0]
-    return RefinedPose(T, center, sensor, sd, known, compare(base, target, T, center, sensor, rows), log_prior)
+    known = prior.rows(pose.T_base_target, center)[0]
+    return replace(pose, prior_information=known, blocks=compare(base, target, pose, rows))
 
 
 def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
@@ -156,32 +165,19 @@ def overdispersion(blocks: tuple[ResidualBlock, ...], side: float) -> float:
 
 
 def compare(
-    base: PreparedMap,
-    target: PreparedMap,
-    T_base_target: RigidTransform,
-    center: Vector3,
-    sensor: SensorModel,
-    rows: tuple[Indices, Indices],
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, rows: tuple[Indices, Indices]
 ) -> tuple[ResidualBlock, ...]:
     """Residuals, weights and Jacobians at a pose, of the directions with enough samples inside the other map."""
-    forward, backward = look_up(base, target, T_base_target, sensor, rows)
+    forward, backward = look_up(base, target, pose, rows)
     sides = (forward, target), (backward, base)
-    return tuple(
-        _residual_block(side, of.noise_sd, of.drift, center, sensor)
-        for side, of in sides
-        if len(side.sd) >= MIN_SAMPLES
-    )
+    return tuple(_residual_block(side, of, pose) for side, of in sides if len(side.sd) >= MIN_SAMPLES)
 
 
 def look_up(
-    base: PreparedMap,
-    target: PreparedMap,
-    T_base_target: RigidTransform,
-    sensor: SensorModel,
-    rows: tuple[Indices, Indices],
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, rows: tuple[Indices, Indices]
 ) -> "tuple[Lookup, Lookup]":
     """The base's map at the target's samples, and the target's map at the base's samples."""
-    T_target_base = T_base_target.inv()
+    T_base_target, T_target_base, sensor = pose.T_base_target, pose.T_base_target.inv(), pose.sensor
     position_variance = base.drift.sd**2 + target.drift.sd**2
     y, b = target.samples[rows[0]], target.sample_field[rows[0]]
     _, sd, _, is_known = base.raster.lookup(transform_points(y, T_base_target))
@@ -214,15 +210,14 @@ class Lookup:
     sd: Scalars  # of the map that was looked up, and of positions that are off
 
 
-def residual_jacobian(lookup: Lookup, center: Vector3, sensor: SensorModel) -> np.ndarray:
+def residual_jacobian(lookup: Lookup, pose: RefinedPose) -> np.ndarray:
     """Change of the residuals with pose and sensor: (n, 3, 6 + k), see the module's equation."""
-    lever, G = skew(lookup.positions - center), lookup.gradient
-    return np.concatenate(
-        [G @ lever - skew(lookup.base_side), -G, sensor.jacobian((lookup.target_side + lookup.base_side) / 2)], axis=2
-    )
+    lever, G = skew(lookup.positions - pose.center), lookup.gradient
+    by_sensor = pose.sensor.jacobian((lookup.target_side + lookup.base_side) / 2)
+    return np.concatenate([G @ lever - skew(lookup.base_side), -G, by_sensor], axis=2)
 
 
-def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
+def residual_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tuple[Scalars, Scalars]:
     """Weight of each residual (1/T^2), and the ratio of its curvature of the likelihood to that weight.
 
     The weight falls as its residual grows, in one direction of three: the ratio is between 1/3 and 1.
@@ -232,16 +227,13 @@ def student_weights(residual2: Scalars, map_sd: Scalars, noise_sd: float) -> tup
     excess = max(float(np.median(residual2)) / MEDIAN_CHI2_3 - float(np.median(map_variance)), noise_sd**2)
     variance = excess + map_variance
     chi2 = residual2 / variance
-    weight = (STUDENT_DOF + 3) / (STUDENT_DOF + chi2) / variance
-    return weight, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
+    return student_weights(chi2, 3) / variance, 1 - 2 / 3 * chi2 / (STUDENT_DOF + chi2)
 
 
-def _residual_block(
-    lookup: Lookup, noise_sd: float, drift: Drift, center: Vector3, sensor: SensorModel
-) -> ResidualBlock:
-    J = residual_jacobian(lookup, center, sensor)
+def _residual_block(lookup: Lookup, of: PreparedMap, pose: RefinedPose) -> ResidualBlock:
+    J = residual_jacobian(lookup, pose)
     r2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
-    weight, bend = student_weights(r2, lookup.sd, noise_sd)
+    weight, bend = residual_weights(r2, lookup.sd, of.noise_sd)
     rows = J.reshape(-1, J.shape[2])
     weighted = rows * np.repeat(weight, 3)[:, None]
     return ResidualBlock(
@@ -249,16 +241,9 @@ def _residual_block(
         curvature=(weighted * np.repeat(bend, 3)[:, None]).T @ rows,
         scores=(weighted * lookup.residual.reshape(-1, 1)).reshape(J.shape).sum(axis=1),
         positions=lookup.positions,
-        residual2=r2 / (noise_sd**2 + lookup.sd**2),
-        drift=drift.score_covariance(weighted.reshape(J.shape), lookup.gradient, lookup.rows),
+        residual2=r2 / (of.noise_sd**2 + lookup.sd**2),
+        drift=of.drift.score_covariance(weighted.reshape(J.shape), lookup.gradient, lookup.rows),
     )
-
-
-def _step(A: Matrix, v: np.ndarray, sensor_sd: np.ndarray, lengthscale: float) -> np.ndarray:
-    """Bounded minimum-norm Newton step, so that a direction that the data do not determine does not change."""
-    scale = np.concatenate([np.full(3, MAX_TURN), np.full(3, MAX_SHIFT * lengthscale), sensor_sd])
-    xi: np.ndarray = scale * np.linalg.lstsq(A * np.outer(scale, scale), v * scale, rcond=1e-10)[0]
-    return xi / max(1.0, float(np.abs(xi[:6] / scale[:6]).max()))
 
 
 def some_rows(

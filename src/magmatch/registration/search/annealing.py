@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magmatch.compiled import compiled, compiled_ahead, record
-from magmatch.estimation.hypotheses import HYPOTHESES, Hypotheses
+from magmatch.estimation.candidate_poses import CANDIDATE_POSES, CandidatePoses
 from magmatch.field.cholesky.blas import PLAIN, address_of, gemm, gesv
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate
@@ -38,14 +38,14 @@ ROOM = record(Room, "f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], i4[::1]")
 
 
 def anneal_poses(
-    poses: Hypotheses,
+    poses: CandidatePoses,
     sample_rows: np.ndarray,
     evidence: Evidence,
     base: PreparedMap,
     schedule: np.ndarray,
     outlier_share: float,
     damping: float = 1.0,
-) -> tuple[Hypotheses, Scalars]:
+) -> tuple[CandidatePoses, Scalars]:
     """Refine poses while the pose error allowed shrinks: one row (rad, m) of the schedule per step.
 
     Returns the poses, about the same anchors, and their scores at the last row of the schedule.
@@ -62,7 +62,7 @@ def anneal_poses(
     return found, scores
 
 
-@compiled_ahead(HYPOTHESES, "i8[:,::1]", EVIDENCE, RASTER, "f8[:,::1], f8, f8, f8[::1]", ROOM)
+@compiled_ahead(CANDIDATE_POSES, "i8[:,::1]", EVIDENCE, RASTER, "f8[:,::1], f8, f8, f8[::1]", ROOM)
 def _anneal(poses, rows, evidence, raster, schedule, eps, damping, scores, room):  # type: ignore[no-untyped-def]
     A, dx, pivots = room.A, room.dx, room.pivots
     info, six = address_of(pivots) + 24, np.int32(6)

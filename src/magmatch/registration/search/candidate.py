@@ -5,9 +5,6 @@ from dataclasses import dataclass
 
 from scipy.spatial.transform import RigidTransform
 
-# Distinct poses that a search hands on, at most.
-N_CANDIDATES = 8
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SearchResult:

@@ -8,18 +8,33 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import ndtri
 
 from magmatch.compiled import compiled_ahead
-from magmatch.estimation.cubes import FEW_POINTS, RANKING_POINTS, SAMPLING
-from magmatch.estimation.distinct import distinct_poses
-from magmatch.estimation.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
-from magmatch.estimation.path_noise import N_DRAWS
-from magmatch.estimation.pose_prior import MORE_NEIGHBOURS, PosePrior
+from magmatch.estimation.candidate_poses import (
+    OUTLIER_SHARE,
+    CandidatePoses,
+    distinct_poses,
+    pose_inaccuracy,
+    same_pose,
+)
+from magmatch.estimation.cubes import SAMPLING
+from magmatch.estimation.limits import (
+    FEW_POINTS,
+    MORE_NEIGHBOURS,
+    N_ANCHORS,
+    N_CANDIDATES,
+    N_COARSE,
+    N_DRAWS,
+    N_FINE,
+    N_NEIGHBOURS,
+    RANKING_POINTS,
+)
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.features.invariants import point_frames
 from magmatch.field.values import gradient_norm
 from magmatch.progress import tell
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.annealing import anneal_poses, schedule
-from magmatch.registration.search.candidate import N_CANDIDATES, SearchResult
-from magmatch.registration.search.scoring import score_poses, weigh_samples
+from magmatch.registration.search.candidate import SearchResult
+from magmatch.registration.search.scoring import Evidence, score_poses, weigh_samples
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Points, Scalars, Tensors, Vector3
 
@@ -28,12 +43,12 @@ class InvariantSearchConfig(Settings):
     """Counts and scales of the search; the defaults found every pair of the development set."""
 
     # Target points used as anchors, drawn in proportion to how well their gradient is known.
-    n_anchors: int = Field(default=400, ge=10)
+    n_anchors: int = Field(default=N_ANCHORS, ge=10)
     # Base points with the most similar invariants that each anchor is tried on.
-    n_neighbours: int = Field(default=30, ge=1)
+    n_neighbours: int = Field(default=N_NEIGHBOURS, ge=1)
     # Distinct poses that are refined coarsely, and those that are refined further.
-    n_coarse: int = Field(default=600, ge=1)
-    n_fine: int = Field(default=40, ge=1)
+    n_coarse: int = Field(default=N_COARSE, ge=1)
+    n_fine: int = Field(default=N_FINE, ge=1)
     # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
     n_draws: int = Field(default=N_DRAWS, ge=2)
 
@@ -49,33 +64,44 @@ def invariant_search(
     anchors = choose_anchors(target, config.n_anchors, rng)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     neighbours = similar_points(base, target, anchors, n_neighbours)
-    tell(f"scoring {neighbours.size} hypotheses")
-    evidence = weigh_samples(base, target)
-    poses = frame_hypotheses(base, target, anchors, neighbours)
+    evidence, poses = weigh_samples(base, target), frame_poses(base, target, anchors, neighbours)
     rows = judging_samples(poses.anchors_target, target, FEW_POINTS, rng)
-    length = common_length(base, target)
-    sd, same = pose_inaccuracy(length), same_pose(length)
-    center = target.samples.mean(axis=0)
-    poses = prior.narrow(poses, center, sd, rng)
-    if not len(poses.rotations):
+    length, center = common_length(base, target), target.samples.mean(axis=0)
+    poses, scores = coarse_poses(poses, rows, evidence, base, prior, center, length, config.n_coarse, rng)
+    if not len(scores):
         return SearchResult()
-    scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
-    # A strong corner of the base attracts hundreds of near-duplicates, which would displace other poses.
-    best = distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse)
-    poses = poses.subset(best)
-
-    tell("refining the best hypotheses")
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
-    keep = distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_fine)
+    keep = distinct_poses(poses.rotations, poses.carry(center), scores, *same_pose(length), config.n_fine)
     poses = poses.subset(keep)
     common = rng.permutation(len(target.samples))[:RANKING_POINTS]
     rows = np.tile(common, (len(anchors), 1))
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, sd), OUTLIER_SHARE)
+    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(1, pose_inaccuracy(length)), OUTLIER_SHARE)
     return SearchResult(
         best_admitted(poses, scores, prior, center, length),
         n_keypoints=len(base.points) + len(target.points),
         n_correspondences=int(neighbours.size),
     )
+
+
+def coarse_poses(
+    poses: CandidatePoses,
+    rows: np.ndarray,
+    evidence: Evidence,
+    base: PreparedMap,
+    prior: PosePrior,
+    center: Vector3,
+    length: float,
+    n_coarse: int,
+    rng: np.random.Generator,
+) -> tuple[CandidatePoses, Scalars]:
+    """Score poses that a prior admits, and refine the best distinct ones coarsely; gives them with their scores."""
+    sd = pose_inaccuracy(length)
+    poses = prior.narrow(poses, center, sd, rng)
+    tell(f"scoring {len(poses.rotations)} poses")
+    scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
+    # A strong corner of the base attracts hundreds of near-duplicates, which would displace other poses.
+    best = distinct_poses(poses.rotations, poses.carry(center), scores, *same_pose(length), n_coarse)
+    tell("refining the best poses")
+    return anneal_poses(poses.subset(best), rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
 
 
 def choose_anchors(target: PreparedMap, n_anchors: int, rng: np.random.Generator) -> Indices:
@@ -135,7 +161,7 @@ def _near_first(anchors, samples, shuffled, distance2, n_near, rows):  # type: i
 
 
 def best_admitted(
-    poses: Hypotheses, scores: Scalars, prior: PosePrior, center: Vector3, length: float
+    poses: CandidatePoses, scores: Scalars, prior: PosePrior, center: Vector3, length: float
 ) -> tuple[RigidTransform, ...]:
     """The best distinct poses, as many as are handed on, of those that a prior admits; ``center`` is the target's."""
     moved = poses.carry(center)
@@ -145,10 +171,10 @@ def best_admitted(
     return tuple(poses.pose(k, moved[k], center) for k in keep[np.isfinite(scores[keep])].tolist())
 
 
-def frame_hypotheses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> Hypotheses:
+def frame_poses(base: PreparedMap, target: PreparedMap, anchors: Indices, neighbours: Indices) -> CandidatePoses:
     """Poses that map each anchor and its frame onto each of its neighbours (a, k) and their frames."""
     rows, base_rows = np.repeat(np.arange(len(anchors)), neighbours.shape[1]), neighbours.ravel()
     base_frames = point_frames(base.point_field, base.point_gradient)[base_rows]
     target_frames = point_frames(target.point_field, target.point_gradient)[anchors[rows]]
     R: Tensors = base_frames @ np.swapaxes(target_frames, 1, 2)
-    return Hypotheses(R, base.points[base_rows], rows, target.points[anchors])
+    return CandidatePoses(R, base.points[base_rows], rows, target.points[anchors])

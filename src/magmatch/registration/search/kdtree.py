@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from magmatch.compiled import compiled, compiled_ahead
+from magmatch.estimation.limits import LEAF
 from magmatch.typing import Indices, Matrix
 
-# Points per leaf, at most: few enough to scan, many enough that the tree above them is small.
-LEAF = 24
 # More than any tree has.
 EVERY_LEAF = np.iinfo(np.int64).max
 

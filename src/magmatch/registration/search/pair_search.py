@@ -7,19 +7,19 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from magmatch.estimation.cubes import COARSER, FEW_POINTS, SAMPLING, even_choice, thin
-from magmatch.estimation.distinct import distinct_poses
-from magmatch.estimation.hypotheses import OUTLIER_SHARE, Hypotheses, pose_inaccuracy, same_pose
-from magmatch.estimation.pose_prior import MORE_NEIGHBOURS, PosePrior
+from magmatch.estimation.candidate_poses import (
+    CandidatePoses,
+)
+from magmatch.estimation.cubes import SAMPLING, even_choice, thin
+from magmatch.estimation.limits import COARSER, FEW_POINTS, MAX_PAIRS, MORE_NEIGHBOURS, N_COARSE_OF_WALK, N_LIKE_PAIRS
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
-from magmatch.progress import tell
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import SearchResult
-from magmatch.registration.search.invariant_search import best_admitted
+from magmatch.registration.search.invariant_search import best_admitted, coarse_poses
 from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
-from magmatch.registration.search.scoring import Evidence, score_poses
+from magmatch.registration.search.scoring import Evidence
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Vectors
 
@@ -31,12 +31,12 @@ class PairSearchConfig(Settings):
     """Counts of the search."""
 
     # Most pairs in the table; points that would give more are thinned further.
-    max_pairs: int = Field(default=600_000, ge=1000)
+    max_pairs: int = Field(default=MAX_PAIRS, ge=1000)
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
     n_pairs: int = Field(default=FEW_POINTS, ge=1)
-    n_neighbours: int = Field(default=8, ge=1)
+    n_neighbours: int = Field(default=N_LIKE_PAIRS, ge=1)
     # Distinct poses that are refined coarsely.
-    n_coarse: int = Field(default=120, ge=1)
+    n_coarse: int = Field(default=N_COARSE_OF_WALK, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -98,20 +98,14 @@ def pair_search(
     i, j = choose_pairs(walk, table, config, rng)
     if not len(i) or not len(table.first):
         return SearchResult()
-    center, sd, same = walk.positions.mean(axis=0), pose_inaccuracy(table.length), same_pose(table.length)
+    center = walk.positions.mean(axis=0)
     n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
     similar, _ = table.nearest(invariants_of(walk, i, j), n_neighbours)
-    found = hypotheses(table, walk, i, j, similar)
-    poses = prior.narrow(found, center, sd, rng)
-    if not len(poses.rotations):
-        return SearchResult()
-    evidence = weigh_bins(base, table, walk)
+    found, evidence = pair_poses(table, walk, i, j, similar), weigh_bins(base, table, walk)
     rows = np.tile(even_choice(len(walk), FEW_POINTS), (len(i), 1))
-    tell(f"scoring {len(poses.rotations)} hypotheses")
-    scores = score_poses(poses, rows, evidence, base, *sd, OUTLIER_SHARE)
-    # So that one corridor does not fill the list.
-    poses = poses.subset(distinct_poses(poses.rotations, poses.carry(center), scores, *same, config.n_coarse))
-    poses, scores = anneal_poses(poses, rows, evidence, base, schedule(0, sd), OUTLIER_SHARE)
+    poses, scores = coarse_poses(found, rows, evidence, base, prior, center, table.length, config.n_coarse, rng)
+    if not len(scores):
+        return SearchResult()
     return SearchResult(
         best_admitted(poses, scores, prior, center, table.length),
         n_keypoints=len(table.positions) + len(walk),
@@ -140,7 +134,7 @@ def invariants_of(walk: Walk, i: Indices, j: Indices) -> Matrix:
     return pair_invariants(walk.positions[i], walk.positions[j], walk.field[i], walk.field[j])
 
 
-def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> Hypotheses:
+def pair_poses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: Indices) -> CandidatePoses:
     """Poses that put each of the walk's pairs onto base pairs (n, k), each about the middle of its pair."""
     middles = (walk.positions[i] + walk.positions[j]) / 2
     a, b = table.first[similar.ravel()], table.second[similar.ravel()]
@@ -154,7 +148,7 @@ def hypotheses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: In
         table.sd_position,
         table.sd_field,
     )
-    return Hypotheses(R, (table.positions[a] + table.positions[b]) / 2, rows, middles)
+    return CandidatePoses(R, (table.positions[a] + table.positions[b]) / 2, rows, middles)
 
 
 def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices, Indices]:

@@ -14,12 +14,21 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
-from magmatch.estimation.hypotheses import OUTLIER_SHARE, pose_inaccuracy
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE, pose_inaccuracy, same_pose
+from magmatch.estimation.limits import (
+    MAX_ASKED,
+    N_CANDIDATES,
+    N_JUDGES,
+    N_REFINED,
+    SHARED_LENGTH,
+    VOTING_ANCHORS,
+    VOTING_PAIRS,
+)
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.invariant_search import (
     choose_anchors,
-    frame_hypotheses,
+    frame_poses,
     judging_samples,
     similar_points,
 )
@@ -27,38 +36,30 @@ from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     PairTable,
     choose_pairs,
-    hypotheses,
     invariants_of,
+    pair_poses,
 )
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
 
-# Maps that are searched in full: at least and at most so many, and those with this share of the most votes.
-MIN_SHORTLIST, MAX_SHORTLIST, SHORTLIST_SHARE = 4, 8, 0.5
-# Maps that are asked for poses, at most: a folder ten times larger than that costs little more.
-MAX_ASKED = 300
-# Pairs of the walk that vote, and base pairs that each is tried on.
-N_PAIRS, N_NEIGHBOURS = 40, 6
-# The same for points with their frames, and samples that judge each pose.
-N_ANCHORS, N_ANCHOR_NEIGHBOURS, N_JUDGES = 200, 10, 80
-# Poses nearer than this are one: rad, and in the base's correlation lengths at the walk's centre.
-SAME_ROTATION, SAME_PLACE = 0.2, 0.65
+# Maps with this share of the most votes are searched in full, too.
+SHORTLIST_SHARE = 0.5
+# Poses nearer than this are one, in the base's correlation lengths at the walk's centre.
+SAME_PLACE = 0.65
 # Squared distance (in standard deviations) of a pair's invariants at which its vote is worth 1/e.
 DISTANCE2 = 8.0
-# Maps whose correlation lengths differ by less than this factor share one binning of the walk.
-SHARED_LENGTH = 1.15
 
 
 def shortlist(votes: Scalars) -> list[int]:
     """Maps for a full search, most likely first: always a few, and those nearly as likely as the first."""
-    order = np.argsort(-votes, kind="stable")[:MAX_SHORTLIST].tolist()
+    order = np.argsort(-votes, kind="stable")[:N_CANDIDATES].tolist()
     enough = SHORTLIST_SHARE * votes[order[0]]
-    return [k for n, k in enumerate(order) if n < MIN_SHORTLIST or votes[k] >= enough]
+    return [k for n, k in enumerate(order) if n < N_REFINED or votes[k] >= enough]
 
 
 def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:
     """Share of a walk's pairs that agree on one pose, in the maps that hold pairs most like them; 0 elsewhere."""
-    few = config.model_copy(update={"n_pairs": N_PAIRS, "n_neighbours": N_NEIGHBOURS})
+    few = config.model_copy(update=dict(zip(("n_pairs", "n_neighbours"), VOTING_PAIRS, strict=True)))
     asked: dict[int, Question] = {}
     questions = []
     for table in tables:
@@ -100,9 +101,9 @@ class Question(NamedTuple):
         if not len(self.first) or not len(table.first):
             return 0.0
         similar, distance2 = table.nearest(self.invariants, n_neighbours)
-        poses = hypotheses(table, self.walk, self.first, self.second, similar)
+        poses = pair_poses(table, self.walk, self.first, self.second, similar)
         centers = poses.carry(self.walk.positions.mean(axis=0))
-        weights, angle, distance = _weights(distance2).ravel(), SAME_ROTATION, SAME_PLACE * table.length
+        weights, angle, distance = _weights(distance2).ravel(), same_pose(table.length)[0], SAME_PLACE * table.length
         largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
         return float(largest / len(self.first))
 
@@ -118,9 +119,10 @@ def count_agreement(bases: Iterable[PreparedMap], target: PreparedMap, seed: int
 
 
 def _best_score(base: PreparedMap, target: PreparedMap, rng: np.random.Generator) -> float:
-    anchors = choose_anchors(target, N_ANCHORS, rng)
-    neighbours = similar_points(base, target, anchors, N_ANCHOR_NEIGHBOURS)
-    poses = frame_hypotheses(base, target, anchors, neighbours)
+    n_anchors, n_neighbours = VOTING_ANCHORS
+    anchors = choose_anchors(target, n_anchors, rng)
+    neighbours = similar_points(base, target, anchors, n_neighbours)
+    poses = frame_poses(base, target, anchors, neighbours)
     judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
     sd = pose_inaccuracy(common_length(base, target))
     scores = score_poses(poses, judges, weigh_samples(base, target), base, *sd, OUTLIER_SHARE)

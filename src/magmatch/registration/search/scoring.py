@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magmatch.compiled import compiled, compiled_ahead, record
-from magmatch.estimation.hypotheses import HYPOTHESES, Hypotheses
+from magmatch.estimation.candidate_poses import CANDIDATE_POSES, CandidatePoses
 from magmatch.estimation.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, MEDIAN_CHI2_5, PreparedMap
 from magmatch.registration.prepared.raster import RASTER, find_cell, interpolate_field
@@ -57,7 +57,7 @@ def weigh_samples(base: PreparedMap, target: PreparedMap) -> Evidence:
 
 
 def score_poses(
-    poses: Hypotheses,
+    poses: CandidatePoses,
     sample_rows: np.ndarray,
     evidence: Evidence,
     base: PreparedMap,
@@ -96,7 +96,7 @@ def expected_variance(evidence, sd, d2, sd_rotation, sd_translation):  # type: i
     return V if V < V0 else V0
 
 
-@compiled_ahead(HYPOTHESES, "i8[:,::1]", EVIDENCE, RASTER, "f8, f8, f8, f8[::1]")
+@compiled_ahead(CANDIDATE_POSES, "i8[:,::1]", EVIDENCE, RASTER, "f8, f8, f8, f8[::1]")
 def _score(poses, rows, evidence, raster, sd_rotation, sd_translation, eps, out):  # type: ignore[no-untyped-def]
     (R, pb, anchor, pt), (origin, spacing, values) = poses, raster
     x, b, b2, V0 = evidence.positions, evidence.field, evidence.deviation2, evidence.deviation_variance

@@ -16,9 +16,8 @@ from magmatch.field.folds import has_path_order
 from magmatch.geometry import adjoint, path_walked, rotation_matrix
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
-from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
+from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance, map_covariance
 from magmatch.registration.weigh.evidence import PoseEvidence
-from magmatch.registration.weigh.map_covariance import map_covariance
 from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, LineEvidence, weigh_walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Vector3
 

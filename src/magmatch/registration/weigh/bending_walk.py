@@ -8,40 +8,48 @@ follows from few unknowns. The walk's positions and orientations drift by a rand
 
     R^T K R + D S D^T + n^2 I,
 
-K the posterior's covariance between all bins, D the residuals' slopes with the bending modes (`bending.py`), S their
+K the posterior's covariance between all bins, D the residuals' slopes with the bending modes, S their
 variances at one rate, n the noise of a bin. Each rate is a model of the pose.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import solve_triangular, svd
 from scipy.spatial.distance import cdist
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.bending import Bending, bending_of
-from magmatch.estimation.hypotheses import N_REFINED
-from magmatch.estimation.hypothesis import in_order
+from magmatch.estimation.candidate_poses import pose_inaccuracy
+from magmatch.estimation.gauss_newton import perturbed, shortened
+from magmatch.estimation.limits import COARSE_STEPS, FINE_STEPS, N_MODES, N_REFINED
 from magmatch.estimation.model_prior import EACH_RATE, RATES
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.posterior import in_order
 from magmatch.estimation.walk import MIN_BINS, Walk
 from magmatch.estimation.walk_null_model import UnrelatedWalk
-from magmatch.estimation.walk_rows import N_COLUMNS, residual_rows
+from magmatch.estimation.walk_rows import residual_rows
 from magmatch.field.values import gradient_of
-from magmatch.geometry import rotation_matrix, transform_of
+from magmatch.geometry import rotation_matrix, skew, transform_of
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
-from magmatch.typing import Mask, Matrix, Points, Vector3
+from magmatch.typing import Covariance6, Mask, Matrix, Points, Vector3
 
-# At which of the rates poses are compared first.
-MIDDLE = 0.1
-# Steps of the pose at each rate, and those before which the covariance is evaluated again, the last evaluation too.
-N_STEPS, RENEWED = 5, (0, 2, 5)
-# Spread of a common factor on the covariance: none.
-EXACT = 1e-6
+# Turn that comes with a shift of one metre, rad/m: what dead reckoning loses of both (0.6 deg with 10 cm).
+TURN_PER_SHIFT = 0.1
+# Steps before which the covariance is evaluated again; the last evaluation is one, too.
+RENEWED = (0, FINE_STEPS, COARSE_STEPS)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Bending:
+    """Drift of two surveys at a rate of 1 m per sqrt(m), about its mean along the path, in two parts."""
+
+    modes: np.ndarray  # (n, 6, m): turn (rad) and shift (m) of each point by independent errors of unit variance
+    # (6, 6): covariance of the rigid motion about the path's centre that best follows the drift, rotation first: an
+    # error of the frame, which no residual shows
+    frame: Covariance6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,8 +73,9 @@ class BendingWalk:
 
     def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
         """Refine poses at one rate, and the best few at each; best first, without those outside the base."""
-        coarse = in_order(self._fit(T, MIDDLE) for T in starts)
-        others = [rate for rate in RATES if rate != MIDDLE]
+        middle = RATES[len(RATES) // 2]
+        coarse = in_order(self._fit(T, middle) for T in starts)
+        others = [rate for rate in RATES if rate != middle]
         fine = [self._fit(one.T_base_target, rate) for one in coarse[:N_REFINED] for rate in others]
         return in_order([*coarse, *fine])
 
@@ -77,9 +86,9 @@ class BendingWalk:
     def _fit(self, start: RigidTransform, rate: float) -> LineEvidence | None:
         """Take Gauss-Newton steps of a pose; the walk's shape is integrated out."""
         R, p = rotation_matrix(start), start.apply(self._center)
-        longest = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
+        longest = np.repeat(pose_inaccuracy(self.length), 3)
         factor, seen = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
-        for step in range(N_STEPS + 1):
+        for step in range(COARSE_STEPS + 1):
             known, points, rows, slopes = self._rows(R, p)
             if known.sum() < MIN_BINS:
                 return None
@@ -90,10 +99,9 @@ class BendingWalk:
             r, J = white[:, 0], white[:, 1:]
             known_before, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
             told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
-            if step < N_STEPS:
-                xi = -np.linalg.solve(told + known_before, J.T @ r + slope)
-                xi /= max(1.0, float(np.abs(xi / longest).max()))
-                p, R = p + R @ xi[3:], R @ Rotation.from_rotvec(xi[:3]).as_matrix()
+            if step < COARSE_STEPS:
+                xi = shortened(-np.linalg.solve(told + known_before, J.T @ r + slope), longest)
+                R, p = (moved[0] for moved in perturbed(R[None], p[None], xi[None]))
         n_free, chi2 = 3 * int(known.sum()) - 6, float(r @ r)
         covariance = np.linalg.inv(told / max(1.0, chi2 / n_free) + known_before)
         rest = (
@@ -124,7 +132,7 @@ class BendingWalk:
         points, told = p + y @ R.T, np.ones((1, len(y)))
         values = self.base.posterior.evaluate(points, order=1)
         rows, slopes = residual_rows(R[None], y[None], b[None], (values.field, gradient_of(values)), told > 0, told)
-        return known, points, rows.reshape(3 * len(y), N_COLUMNS), slopes[0]
+        return known, points, rows.reshape(3 * len(y), rows.shape[-1]), slopes[0]
 
     def _rigid_covariance(self, R: Matrix, points: Points) -> Matrix:
         """The residuals' covariance without bending, walk's axes: (3 k, 3 k)."""
@@ -136,16 +144,36 @@ class BendingWalk:
 
 def noise_of_bins(noise_sd: float, length: float) -> PathNoise:
     """Half of the variance of a sample's noise lasts along the path, so that no bin averages it out."""
-    nothing = 1e-6 * noise_sd
-    return PathNoise(
-        misfit_sd=nothing,
-        misfit_length=length,
-        nugget_sd=float(np.sqrt(0.5)) * noise_sd,
-        constant_sd=nothing,
-        map_factor=1.0,
-        map_length=length,
-        attitude_sd=1e-6,
-        drift_sd=nothing,
-        drift_length=length,
-        spread=EXACT,
-    )
+    noise = PathNoise.guess(length, 0.0, float(np.sqrt(0.5)) * noise_sd, 0.0)
+    # All else is known: the map's errors, the bending.
+    return replace(noise, attitude_sd=0.0, drift_sd=0.0, spread=0.0)
+
+
+def bending_of(positions: Points) -> Bending:
+    """Random walks of position and of orientation, which carries all that follows around, of points on a path."""
+    n = len(positions)
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    middles = (positions[1:] + positions[:-1]) / 2
+    follows = (np.arange(n - 1)[None] < np.arange(n)[:, None]) * np.sqrt(steps)
+    arms = skew((positions[:, None] - middles[None]).reshape(-1, 3)).reshape(n, n - 1, 3, 3)
+    columns = []
+    for e in np.eye(3):
+        carried = -arms @ e
+        columns.append(np.concatenate([np.broadcast_to(e, carried.shape), carried], axis=2) * TURN_PER_SHIFT)
+        columns.append(np.broadcast_to(np.concatenate([np.zeros(3), e]), (n, n - 1, 6)))
+    loads = np.moveaxis(np.concatenate([follows[:, :, None] * column for column in columns], axis=1), 1, 2)
+    # Base and target drift alike.
+    flat = np.sqrt(2) * (loads - loads.mean(axis=0)).reshape(6 * n, -1)
+    rigid = _rigid_motions(positions)
+    followed = np.linalg.lstsq(rigid, flat, rcond=None)[0]
+    modes, strengths, _ = svd(flat - rigid @ followed, full_matrices=False, check_finite=False)
+    kept = (modes[:, :N_MODES] * strengths[:N_MODES]).reshape(n, 6, -1)
+    return Bending(np.asarray(kept), np.asarray(followed @ followed.T))
+
+
+def _rigid_motions(positions: Points) -> Matrix:
+    """Give the effect of a turn about the path's centre and a shift on turns and shifts of its points: (6 n, 6)."""
+    lever = -skew(positions - positions.mean(axis=0))
+    eye = np.broadcast_to(np.eye(3), lever.shape)
+    rows = np.concatenate([np.concatenate([eye, 0 * eye], axis=2), np.concatenate([lever, eye], axis=2)], axis=1)
+    return np.asarray(rows.reshape(6 * len(positions), 6))

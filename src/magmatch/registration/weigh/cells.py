@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 from scipy.special import gammaln
 
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.estimation.cubes import cube_keys
-from magmatch.estimation.hypotheses import OUTLIER_SHARE
 from magmatch.estimation.map_null_model import CellMeans, NullModel, UnrelatedField, average_cells
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.registration.prepared.drift import field_variance

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypothesis import in_order
+from magmatch.estimation.limits import MOST_STEPS
 from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.posterior import in_order
 from magmatch.progress import tell
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
-from magmatch.registration.refine.refinement import MOST_STEPS, RefinedPose, step_between
+from magmatch.registration.refine.refinement import RefinedPose, step_between
 from magmatch.registration.weigh.cells import (
     UNCHANGED_SHARES,
     NullModels,

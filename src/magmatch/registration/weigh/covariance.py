@@ -1,11 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Covariance of the refined pose: a cluster-robust sandwich estimator over independent cells."""
+"""Covariance of the refined pose: a cluster-robust sandwich estimator over independent cells; and of the maps.
+
+Along a path beside another, the error of a map between its samples is nearly constant, so the pose follows it and no
+residual shows it. Draws from the maps' posteriors show it: each shifts the pose by one linear step.
+"""
 
 import numpy as np
 
 from magmatch.estimation.cubes import sum_by_cube
-from magmatch.registration.refine.refinement import RefinedPose
-from magmatch.typing import Covariance6, Matrix
+from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.prepared.prepared_map import PreparedMap
+from magmatch.registration.refine.refinement import (
+    Lookup,
+    RefinedPose,
+    RefinementConfig,
+    information_of,
+    look_up,
+    residual_jacobian,
+    residual_weights,
+    some_rows,
+)
+from magmatch.typing import Covariance6, Matrix, Points, Vectors
 
 # Relative variance or information below which there is none but rounding.
 ROUNDING = 1e-12
@@ -63,6 +78,42 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
         total += bread @ block.drift @ bread
     covariance: Covariance6 = ((total + total.T) / 2)[:6, :6]
     return covariance
+
+
+def map_covariance(
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, config: RefinementConfig, seed: int
+) -> Covariance6:
+    """Covariance of a pose through the maps' own uncertainty alone."""
+    T, rows = pose.T_base_target, some_rows(base, target, config, np.random.default_rng(seed))
+    forward, backward = look_up(base, target, pose, rows)
+    information = information_of(pose.blocks) + pose.known_before
+    # The base's field enters the residual with a minus, the target's with a plus.
+    of_base = [-rotate_vectors(error, T.inv()) for error in _errors(base, transform_points(forward.positions, T))]
+    of_target = _errors(target, backward.positions)
+    # The maps' errors are independent, so their squares are added, rather than one draw of each.
+    total: Covariance6 = np.zeros((6, 6))
+    for lookup, noise_sd, errors in ((forward, target.noise_sd, of_base), (backward, base.noise_sd, of_target)):
+        if errors:
+            moves = np.linalg.solve(information, _scores(lookup, noise_sd, pose, errors).T)[:6]
+            total = total + moves @ moves.T / len(errors)
+    return total
+
+
+def _errors(of: PreparedMap, points: Points) -> list[Vectors]:
+    """How a map's field may differ from its mean at points: draws; none without points."""
+    if not len(points):
+        return []
+    posterior = of.field_map.posterior
+    mean = posterior.evaluate(points).field
+    return [posterior.evaluate(points, 0, weights).field - mean for weights in of.draws()]
+
+
+def _scores(lookup: Lookup, noise_sd: float, pose: RefinedPose, errors: list[Vectors]) -> Matrix:
+    """Gradient of the likelihood that each draw adds: (draws, 6 + k)."""
+    residual2 = np.einsum("ni,ni->n", lookup.residual, lookup.residual)
+    weight, _ = residual_weights(residual2, lookup.sd, noise_sd)
+    JW = residual_jacobian(lookup, pose) * weight[:, None, None]
+    return np.stack([np.einsum("nij,ni->j", JW, error) for error in errors])
 
 
 def _regular(A: Matrix) -> Matrix:

@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypothesis import Kind
 from magmatch.estimation.model_prior import overlap_weight
 from magmatch.estimation.pose_prior import FAR2, PosePrior
+from magmatch.estimation.posterior import Kind
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap
 from magmatch.registration.refine.refinement import RefinedPose
 from magmatch.registration.weigh.cells import NullModels, compare_back, compare_cells

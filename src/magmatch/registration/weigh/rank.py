@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypothesis import in_order
 from magmatch.estimation.pose_prior import PosePrior
+from magmatch.estimation.posterior import in_order
 from magmatch.progress import tell
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.changes import ChangeConfig

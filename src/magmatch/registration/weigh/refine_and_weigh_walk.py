@@ -7,7 +7,6 @@ centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gra
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,18 +14,19 @@ from pydantic import Field
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.estimation.hypotheses import N_REFINED, OUTLIER_SHARE
-from magmatch.estimation.hypothesis import Kind
+from magmatch.estimation.candidate_poses import OUTLIER_SHARE, pose_inaccuracy
+from magmatch.estimation.gauss_newton import perturbed, shortened
+from magmatch.estimation.limits import COARSE_STEPS, FINE_STEPS, N_REFINED
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import FAR2, PosePrior
+from magmatch.estimation.posterior import Kind
 from magmatch.estimation.walk import MIN_BINS, Walk
 from magmatch.estimation.walk_null_model import UnrelatedWalk
-from magmatch.estimation.walk_rows import add_alike, isolate, residual_rows, whiten, whiten_again
+from magmatch.estimation.walk_rows import isolate, residual_rows, whiten
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.refine.refinement import MAX_SHIFT, MAX_TURN
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
@@ -34,8 +34,6 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 FREE_SDS = 5.0
 # Bins that something disturbs together, at least.
 PIECE_BINS = 5
-# Steps with like components, then steps that know how drifting poses couple them.
-COARSE_STEPS, FINE_STEPS = 5, 2
 
 
 class LineConfig(Settings):
@@ -155,14 +153,12 @@ class _LeastSquares:
 
         In full, the walk's shape is fitted too: the field is not linear over as far as odometry may bend it.
         """
-        scale = np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
         errors = np.zeros((len(R), 0 if self.bending is None else self.bending.shape[2]))
         for _ in range(n_steps):
             fits, v, errors_after = self._evaluate(R, p, errors, strain, is_full=is_full)
             xi = -np.linalg.solve(fits.information, v[:, :, None])[:, :, 0]
-            xi /= np.maximum(1.0, np.abs(xi / scale).max(axis=1))[:, None]
-            p = p + np.einsum("hij,hj->hi", R, xi[:, 3:])
-            R = R @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
+            xi = shortened(xi, self.longest)
+            R, p = perturbed(R, p, xi)
             if is_full and self.bending is not None:
                 errors = errors_after(xi)
         return self._evaluate(R, p, errors, strain, is_full=is_full)[0]
@@ -188,22 +184,20 @@ class _LeastSquares:
             bent = moved.reshape(n_poses, 3 * n, -1) @ errors[:, :, None]
             rows[..., 0] += bent.reshape(n_poses, n, 3) * (known / strain)[..., None]
         C = (self._full_covariance if is_full else self._alike_covariance)(slopes[..., 3:], moved, sd, known)
-        isolate(C, known)
+        C = isolate(C, known)
         normalised = (rows[..., 0] ** 2).sum(axis=2) * strain**2 / _expected_squares(C, n)
         white, half_log_det, L = _whiten(C, rows)
         half_log_det = half_log_det + 3 * (np.log(strain) * known).sum(axis=1)
         products = np.swapaxes(white, 1, 2) @ white
         chi2, v = products[:, 0, 0], products[:, 1:, 0]
-        free = FREE_SDS * np.repeat([MAX_TURN, MAX_SHIFT * self.length], 3)
-        information = products[:, 1:, 1:] + np.diag(free**-2)
+        information = products[:, 1:, 1:] + np.diag((FREE_SDS * self.longest) ** -2)
         prior_information, slope, prior_chi2 = self.prior.rows_of_many(R, p, self.center)
         information, v = information + prior_information, v + slope
 
         def errors_after(xi: Matrix) -> Matrix:
             assert moved is not None
             left = white[..., 0] + np.einsum("hki,hi->hk", white[..., 1:], xi)
-            whiten_again(L, left)
-            return np.asarray(np.einsum("hkm,hk->hm", moved.reshape(n_poses, 3 * n, -1), left))
+            return np.asarray(np.einsum("hkm,hk->hm", moved.reshape(n_poses, 3 * n, -1), whiten(L, left, again=True)))
 
         fits = _Fits(R, p, known, strain, normalised, information, chi2, half_log_det, prior_information, prior_chi2)
         return fits, v, errors_after
@@ -231,7 +225,7 @@ class _LeastSquares:
             moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
             moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
             C = moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
-        return self._with_alike(C, sd)
+        return np.asarray(C + self.noise.isotropic(self.distance, sd))
 
     def _full_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
@@ -239,17 +233,12 @@ class _LeastSquares:
             field = np.broadcast_to(self.walk.field, (*known.shape, 3))
             return self.noise.full(self.distance, sd, G, field)
         moved = moved.reshape(len(moved), -1, moved.shape[-1])
-        C = moved @ np.swapaxes(moved, 1, 2)
-        return self._with_alike(C, sd)
+        return self.noise.with_isotropic(moved @ np.swapaxes(moved, 1, 2), self.distance, sd)
 
-    def _with_alike(self, C: Matrix, sd: Matrix) -> Matrix:
-        """Covariances, to which is added what all components have alike."""
-        add_alike(C, *self._alike, self.noise.map_factor * sd, self.noise.nugget_sd**2)
-        return C
-
-    @cached_property
-    def _alike(self) -> tuple[Matrix, Matrix]:
-        return self.noise.alike(self.distance)
+    @property
+    def longest(self) -> np.ndarray:
+        """Longest step, (6,): as far as a start may be off."""
+        return np.repeat(pose_inaccuracy(self.length), 3)
 
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
@@ -292,16 +281,14 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
 
 
 def _whiten(C: Matrix, rows: Matrix) -> tuple[Matrix, Scalars, Matrix]:
-    """Whiten contiguous rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
+    """Whiten rows (h, n, 3, k) by covariances of all components (h, 3 n, 3 n) or of one for all (h, n, n).
 
-    Returns the whitened rows (h, 3 n, k), which take the place of those given, half the log-determinants (h,), and
-    the factors of the covariances.
+    Returns the whitened rows (h, 3 n, k), half the log-determinants (h,), and the factors of the covariances.
     """
     h, n, _, k = rows.shape
     L = np.linalg.cholesky(C)
-    whiten(L, rows.reshape(h, C.shape[1], -1))
-    half_log_det = 3 * n // C.shape[1] * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
-    return rows.reshape(h, 3 * n, k), half_log_det, L
+    white = whiten(L, rows.reshape(h, C.shape[1], -1)).reshape(h, 3 * n, k)
+    return white, 3 * n // C.shape[1] * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1), L
 
 
 def _expected_squares(C: Matrix, n: int) -> Matrix:

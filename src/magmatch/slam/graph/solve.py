@@ -7,6 +7,7 @@ Poses and weights are found in turn, as a mixture of right and wrong closures is
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from magmatch.estimation.gauss_newton import perturbed
 from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.pose_graph import UP, PoseGraph
@@ -32,9 +33,7 @@ def solve(graph: PoseGraph) -> None:
         xi = -graph.factor(H).solve(v[None])[0]
         n = len(graph.p)
         xi *= min(1.0, MOST_TURN / max(np.abs(xi[:n, :3]).max(), 1e-300))
-        turns, shifts = np.split(xi[:n], 2, axis=1)
-        graph.p = graph.p + np.einsum("nij,nj->ni", graph.R, shifts)
-        graph.R = graph.R @ Rotation.from_rotvec(turns).as_matrix()
+        graph.R, graph.p = perturbed(graph.R, graph.p, xi[:n])
         graph.lasting = graph.lasting + xi[n:, :N_LASTING]
         moved, changed = np.abs(xi).max(), 0.0
         # Of poses that still move, a contradiction may disappear.

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.hypotheses import pose_inaccuracy
+from magmatch.estimation.candidate_poses import pose_inaccuracy
 from magmatch.estimation.path_noise import PathNoise, Stretch
 from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.estimation.posterior import distinct, log_odds

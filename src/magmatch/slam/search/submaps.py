@@ -13,7 +13,7 @@ from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
-from magmatch.registration.index.walk_index import WalkIndex
+from magmatch.registration.index.map_index import WalkIndex
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
 from magmatch.runner import Shared

@@ -14,8 +14,7 @@ from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import refine
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import SearchResult
-from magmatch.registration.steps import settle_and_decide
-from magmatch.registration.strategy import Weighed
+from magmatch.registration.steps import Weighed, settle_and_decide
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.evidence import weigh_pose
 from magmatch_evaluation.baselines.judged import judged

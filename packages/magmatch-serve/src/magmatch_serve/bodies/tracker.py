@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from magmatch.errors import MagmatchError
+from magmatch.estimation.limits import MAX_LOADED
 from magmatch.geometry import path_walked
 from magmatch.localization.known_places import KnownPlaces, NotReadyError, open_place
-from magmatch.registration.index.atlas import MAX_LOADED
 from magmatch.threads import one_blas_thread
 from magmatch_serve.bodies import checkpoints
 from magmatch_serve.bodies.body import Body

@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from magmatch.estimation.bending import TURN_PER_SHIFT, bending_of
 from magmatch.geometry import skew
+from magmatch.registration.weigh.bending_walk import TURN_PER_SHIFT, bending_of
 
 
 @pytest.fixture(scope="module")

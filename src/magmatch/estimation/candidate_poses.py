@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses that a search tries, each stated by where it puts one point of the target."""
+"""Poses that a search tries, each stated by where it puts one point of the target; the best without repetition."""
 
 from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.compiled import record
+from magmatch.compiled import compiled_ahead, record
 from magmatch.geometry import transform_of
-from magmatch.typing import Indices, Points, Tensors, Vector3
+from magmatch.typing import Indices, Points, Scalars, Tensors, Vector3
 
 # Inaccuracy of a pose that one pair of points proposes: rad, and in correlation lengths.
 POSE_TURN, POSE_SHIFT = 0.1, 0.2
@@ -16,8 +16,6 @@ POSE_TURN, POSE_SHIFT = 0.1, 0.2
 SAME_POSE_SDS = 2.0
 # Share of samples that may match nothing under a right pose (moved furniture, a passing lift).
 OUTLIER_SHARE = 0.3
-# Poses that are refined before the others, or further.
-N_REFINED = 4
 
 
 def pose_inaccuracy(length: float) -> tuple[float, float]:
@@ -31,7 +29,7 @@ def same_pose(length: float) -> tuple[float, float]:
     return SAME_POSE_SDS * turn, SAME_POSE_SDS * shift
 
 
-class Hypotheses(NamedTuple):
+class CandidatePoses(NamedTuple):
     """Poses that each rotate about an anchor: ``p_base = anchor_base + R (p_target - anchor_target)``."""
 
     rotations: Tensors  # (h, 3, 3)
@@ -57,4 +55,40 @@ class Hypotheses(NamedTuple):
         return transform_of(R, p_base - R @ p_target)
 
 
-HYPOTHESES = record(Hypotheses, "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1]")
+CANDIDATE_POSES = record(CandidatePoses, "f8[:,:,::1], f8[:,::1], i8[::1], f8[:,::1]")
+
+
+def distinct_poses(
+    rotations: Tensors, centers: Points, scores: Scalars, angle: float, distance: float, limit: int
+) -> Indices:
+    """Best poses that differ from every better one by an angle (rad) or by the position of the centre (m)."""
+    order = np.argsort(-scores, kind="stable")
+    kept = np.zeros(min(limit, len(order)), dtype=np.int64)
+    n = _first_distinct(rotations[order], centers[order], 1 + 2 * np.cos(angle), distance**2, kept)
+    return np.asarray(order[kept[:n]], dtype=np.int64)
+
+
+@compiled_ahead("f8[:,:,::1], f8[:,::1], f8, f8, i8[::1]")
+def _first_distinct(R, centers, least_trace, distance2, kept):  # type: ignore[no-untyped-def]
+    """List rows that no kept row before them resembles (trace of the relative rotation, squared distance)."""
+    n = 0
+    for row in range(len(R)):
+        is_new = n < len(kept)
+        for k in range(n):
+            d2, trace = 0.0, 0.0
+            for c in range(3):
+                step = centers[kept[k], c] - centers[row, c]
+                d2 += step * step
+            if d2 < distance2:
+                for a in range(3):
+                    for b in range(3):
+                        trace += R[kept[k], a, b] * R[row, a, b]
+                if trace > least_trace:
+                    is_new = False
+                    break
+        if is_new:
+            kept[n] = row
+            n += 1
+            if n == len(kept):
+                break
+    return n
