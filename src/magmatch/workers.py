@@ -102,11 +102,11 @@ class DaskRunner:
             "distributed.deploy.lost-worker-timeout": f"{LONELY_SECONDS}s",
         }
         self._open.enter_context(dask.config.set(settings))
-        place = self.scheduler or self._open.enter_context(self._local_cluster())
         make_client: Any = Client
         try:
+            place = meet(self.scheduler) if self.scheduler else self._open.enter_context(self._local_cluster())
             return self._open.enter_context(make_client(place, timeout=CONNECT_SECONDS, set_as_default=False))
-        except OSError as error:
+        except (OSError, MemoryError, ValueError) as error:
             msg = f"no Dask scheduler answers at {self.scheduler} within {CONNECT_SECONDS} s"
             raise ConfigurationError(msg) from error
 
@@ -120,6 +120,20 @@ class DaskRunner:
             n_workers=self.jobs, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
             silence_logs=logging.CRITICAL,
         )  # fmt: skip
+
+
+def meet(address: str) -> str:
+    """Give the address of what talks as Dask does: a client that meets another server is neither opened nor closed."""
+    from distributed.comm import connect
+    from distributed.utils import LoopRunner, sync
+
+    runner: Any = LoopRunner()
+    runner.start()
+    try:
+        sync(runner.loop, connect, address, timeout=CONNECT_SECONDS).abort()
+    finally:
+        runner.stop()
+    return address
 
 
 def _place(task: Task, workers: list[str]) -> dict[str, Any]:

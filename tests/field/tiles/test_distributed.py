@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tiles fitted by other processes: the same bits, also where workers die; a poisoned task ends in one clear line."""
 
+import contextlib
 import os
 import signal
+import socket
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -96,6 +99,20 @@ def test_scheduler_that_does_not_answer_is_named(tasks, monkeypatch):
         pytest.raises(ConfigurationError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"),
     ):
         next(run(fit_weights, tasks))
+
+
+def test_another_server_at_the_address_is_no_scheduler(tasks):
+    def answer(server):
+        while True:
+            with contextlib.suppress(ConnectionError), server.accept()[0] as client:
+                client.recv(1)
+                client.sendall(b"HTTP/1.1 400 Bad Request")
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=answer, args=[server], daemon=True).start()
+        run = DaskRunner(scheduler=f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        with run, pytest.raises(ConfigurationError, match="no Dask scheduler answers"):
+            next(run(fit_weights, tasks))
 
 
 def test_missing_extra_is_named(monkeypatch):
