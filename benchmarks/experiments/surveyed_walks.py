@@ -6,17 +6,22 @@
 DIR holds a folder of XYZ10's logs for each floor (`magmatch datasets list` names the source). Taken are the walks
 that pass most often near each other, by their surveyed points. *Odometry*: rms distance of dead reckoning to all
 points of a walk after one rigid alignment, and its length over that of the line through the points. Then slam of all
-walks together, every third point left out (never the first or last of a walk), with the error there: of slam; of the
-same graph without the field's closures; of dead reckoning bent to the points that are kept (turned, scaled and
-shifted between each two of them); of the straight line between these. The points themselves are good to a few dm.
+walks together, every third point left out (never the first or last of a walk), with the error there: of slam; of slam
+less what the kept points of the walk are off by in the mean (points of different walks contradict each other by
+metres along the path, where their fields agree, so the former says how far a walker was mistaken, too); of the same graph without the
+field's closures; of dead reckoning bent to the points that are kept (turned, scaled and shifted between each two of
+them); of the straight line between these. *Field*: norm and vertical component within 0.7 m of another walk, from
+that, where slam has the walks and where the same graph does without closures: this the walks' own points do not
+judge.
 """
 
 import logging
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 import magmatch as mm
 from magmatch.data.formats.format import SurveyFormat
@@ -30,9 +35,10 @@ from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, timed
 
 COLUMNS = (
-    "walk", "points", "left out", "m", "odometry, m", "length, ratio", "slam, m", "without field, m",
+    "walk", "points", "left out", "m", "odometry, m", "length, ratio", "slam, m", "less own, m", "without field, m",
     "bent odometry, m", "line, m", "closures",
 )  # fmt: skip
+BESIDE, EVERY = 0.7, 5  # m between samples that pass one place, of each fifth
 NEAR, LEAST = 2.0, 4  # m between walks that pass one place; points of a walk from which some can be left out
 
 
@@ -82,6 +88,17 @@ def at(times: np.ndarray, survey: mm.Survey) -> np.ndarray:
     return np.column_stack([np.interp(times, survey.times, axis) for axis in survey.positions.T[:2]])
 
 
+def field_beside(walks: list[mm.Survey], positions: list[np.ndarray]) -> float:
+    """Robust standard deviation of the field from that of the nearest sample of other walks, uT."""
+    b = [1e6 * np.column_stack([np.linalg.norm(w.field, axis=1), w.field[:, 2]])[::EVERY] for w in walks]
+    x, off = [p[::EVERY, :2] for p in positions], []
+    for k in range(len(walks)):
+        others, values = (np.concatenate(v[:k] + v[k + 1 :]) for v in (x, b))
+        far, at = cKDTree(others).query(x[k])
+        off.append((b[k] - values[at])[far < BESIDE])
+    return float(1.4826 * np.median(np.abs(np.concatenate(off))))
+
+
 def rms(off: np.ndarray) -> float:
     """Of vectors, m."""
     return float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else np.nan
@@ -123,6 +140,11 @@ class Walk:
         found = [*(at(self.times, other) for other in others), odometry, np.column_stack(line)]
         return [(v - self.places)[~self.kept] for v in found]
 
+    def as_marked(self, other: mm.Survey) -> mm.Survey:
+        """A corrected survey, moved by what the kept points are off by in the mean."""
+        off = (self.places - at(self.times, other))[self.kept].mean(axis=0)
+        return replace(other, positions=other.positions + [*off, 0.0])
+
 
 def main() -> None:
     asked = arguments(__doc__, data=Path("../shared/data/xyz10"), floor="F2", walks=10, save=saver)
@@ -138,9 +160,10 @@ def main() -> None:
     alone = session.value.graph.copied()
     alone.closures, alone.submap_factors = [], ()
     solve(alone)
+    without = [corrected(path, alone) for path in session.value.paths]
     rows, errors = [], []
-    for walk, log, there, path in zip(walks, logs, trajectories, session.value.paths, strict=True):
-        errors.append(walk.errors(there, corrected(path, alone)))
+    for walk, log, there, other in zip(walks, logs, trajectories, without, strict=True):
+        errors.append(walk.errors(there, walk.as_marked(there), other))
         rows.append(
             [log.name.partition(".")[0][-8:], len(walk.kept), int((~walk.kept).sum()), f"{walk.length:.0f}",
              f"{aligned(at(walk.times, walk.survey), walk.places):.2f}", f"{log.length / walk.length:.2f}",
@@ -152,6 +175,8 @@ def main() -> None:
     n_kept = sum(c.is_kept for c in session.value.graph.closures)
     rows.append(["all (of odometry: median)", *sums, *medians, *together, n_kept])
     show(COLUMNS, rows, asked.save)
+    beside = [field_beside(surveys, [one.positions for one in some]) for some in (trajectories, without)]
+    print("field beside other walks: {:.2f} uT; without closures {:.2f}".format(*beside))
     print(f"slam: {session.processor:.0f} s of the processor")
 
 
