@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from magmatch.geometry import adjoint, covariance_about, exp_se3, random_transform
 from magmatch.registration.result import DegenerateDirection
-from magmatch.viz.figures.ellipsoids import LEVEL, direction_words, ellipsoids_at, swept
+from magmatch.viz.figures.certainty_figures import LEVEL, direction_words, ellipsoids_at, swept
 
 
 @pytest.fixture

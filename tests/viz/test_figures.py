@@ -13,12 +13,11 @@ from magmatch.registration.result import Links
 
 pytest.importorskip("plotly")
 
-from magmatch.viz.figures.agreement_figures import along_figure
+from magmatch.viz.figures.agreement_figures import along_figure, compare
 from magmatch.viz.figures.certainty_figures import poses_figure
+from magmatch.viz.figures.draw import thinned
 from magmatch.viz.figures.map_figures import field_figures, spread_figure
-from magmatch.viz.figures.plotting import thinned
 from magmatch.viz.figures.registration_figures import scene_figures, slice_figures
-from magmatch.viz.figures.residuals import compare
 from magmatch.viz.figures.slices import common_limits, cut_through
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 

@@ -9,7 +9,7 @@ from browser import Browser, find_browser
 
 pytest.importorskip("plotly")
 
-from magmatch.viz.figures.plotting import DARK, PAPER
+from magmatch.viz.figures.draw import DARK, PAPER
 from magmatch.viz.pages.map_page import write_map_report
 from magmatch.viz.pages.registration_page import write_report
 

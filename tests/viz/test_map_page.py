@@ -14,8 +14,14 @@ pytest.importorskip("plotly")
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE, FieldConfig
-from magmatch.viz.figures.coverage import Coverage, cover_and_spread, left_out
-from magmatch.viz.figures.map_figures import comparison_figure, field_figures, spread_figure
+from magmatch.viz.figures.map_figures import (
+    Coverage,
+    comparison_figure,
+    cover_and_spread,
+    field_figures,
+    left_out,
+    spread_figure,
+)
 from magmatch.viz.figures.slices import cut_through
 from magmatch.viz.pages.map_page import MEANINGS, write_map_report
 

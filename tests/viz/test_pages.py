@@ -16,12 +16,12 @@ import yaml
 from magmatch.data.survey import Survey
 from magmatch.errors import MissingExtraError
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
-from magmatch.viz.figures.plotting import require_plotly
+from magmatch.viz.figures.draw import require_plotly
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.pages.map_page import write_map_report
 from magmatch.viz.pages.registration_page import write_report
-from magmatch.viz.pages.view_page import write_view
 from magmatch.viz.verdict import MEANING, NEXT_STEPS, percent
+from magmatch.viz.view import write_view
 
 LIMIT = 5e6
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.viz.figures.residuals import LARGEST_ORDINARY, compare
+from magmatch.viz.figures.agreement_figures import LARGEST_ORDINARY, compare
 
 
 def test_the_truth_leaves_ordinary_residuals(pair):
