@@ -33,13 +33,6 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def report(pair, tmp_path_factory):
-    path = tmp_path_factory.mktemp("pages") / "report.html"
-    write_report(path, pair.base_map, pair.target_map, pair.accepted)
-    return path
-
-
-@pytest.fixture(scope="module")
 def shown(browser, report):
     """The report on a desk, opened once: scenes are slow without a graphics card."""
     browser.open(report)
