@@ -71,13 +71,8 @@ BAD_ROWS = {
     "one point": (lambda p: p[0], "(n, 3)"),
     "four columns": (lambda p: np.c_[p, p[:, 0]], "(n, 3)"),
     "columns": (lambda p: p.T, "transpose it"),
-    "flat": (lambda p: p.ravel(), "(n, 3)"),
-    "three axes": (lambda p: p[None], "(n, 3)"),
-    "number": (lambda p: 5.0, "(n, 3)"),
     "NaN": (lambda p: np.where(p == p[4], np.nan, p), "4"),
-    "infinity": (lambda p: np.where(p == p[7], np.inf, p), "7"),
     "complex": (lambda p: p + 0j, "complex numbers"),
-    "objects": (lambda p: p.astype(object), "object"),
     "text": (lambda p: p.astype(str), "text"),
     "booleans": (lambda p: p > 0, "booleans"),
     "dates": (lambda p: p.astype("M8[s]"), "dates"),
@@ -85,7 +80,6 @@ BAD_ROWS = {
     "masked": (lambda p: np.ma.masked_less(p, 1.0), "masked"),
     "nothing": (lambda p: None, "None"),
     "a path": (lambda p: "points.csv", "text"),
-    "a generator": (lambda p: (row for row in p), "generator"),
     "mixed frame": (lambda p: column_frame({"x": p[:, 0], "y": "north", "z": 0}), "'north'"),
 }
 ROW_DOORS = {
@@ -158,16 +152,13 @@ def test_what_is_no_noun_is_refused_at_every_verb(door, bad, field_map):
 BAD_SURVEYS = {
     "empty": (lambda s: mm.Survey(np.zeros((0, 3)), np.zeros((0, 3))), "at least 1"),
     "field for fewer": (lambda s: mm.Survey(s.positions, s.field[:5]), r"(40, 3) and (5, 3)"),
-    "times for fewer": (lambda s: mm.Survey(s.positions, s.field, s.times[:5]), "each of 40 samples"),
     "times backward": (lambda s: mm.Survey(s.positions, s.field, s.times[::-1]), "runs backward"),
     "times as dates": (lambda s: mm.Survey(s.positions, s.field, s.times.astype("M8[s]")), "seconds"),
     "quaternions": (lambda s: mm.Survey(s.positions, s.field, None, np.zeros((N, 4))), "Rotation.from_quat"),
     "one rotation": (lambda s: mm.Survey(s.positions, s.field, None, Rotation.identity()), "each of 40 samples"),
     "pose_sd negative": (lambda s: mm.Survey(s.positions, s.field, pose_sd=-1.0), "non-negative"),
     "name a number": (lambda s: mm.Survey(s.positions, s.field, name=5), "name"),
-    "path": (lambda s: mm.Survey("room.csv", s.field), "text"),
     "rows beyond": (lambda s: s.subset([N]), "40 samples"),
-    "mask too short": (lambda s: s.subset(np.ones(N - 1, dtype=bool)), "40 samples"),
     "matrix": (lambda s: s.transformed(np.eye(4)), "RigidTransform.from_matrix"),
     "two transforms": (lambda s: s.transformed(RigidTransform.identity(2)), "one RigidTransform"),
 }
@@ -182,13 +173,8 @@ def test_surveys_that_are_none_are_refused(bad, survey):
 BAD_SAMPLES = {
     "no time": (None, [2e-5, 0, -4e-5], "t: expected one number, in s, got None"),
     "text for a time": ("now", [2e-5, 0, -4e-5], "t: expected one number, in s, got text"),
-    "many times": (
-        np.arange(9.0),
-        [2e-5, 0, -4e-5],
-        "t: expected one finite number, in s, got an array of shape (9,)",
-    ),
+    "many times": (np.arange(9.0), [2e-5, 0, -4e-5], "one finite number, in s, got an array of shape (9,)"),
     "a row of rows": (0.0, [[2e-5, 0, -4e-5]], "got an array of shape (1, 3); give x, y, z of one sample"),
-    "a magnitude": (0.0, 5e-5, "got an array of shape (); give x, y, z of one sample"),
     "NaN": (0.0, [np.nan, 0, -4e-5], "got [nan, 0.0, -4e-05]; leave such samples out"),
     "microtesla": (0.0, [20.0, 0, -40.0], "if it is in uT, multiply by 1e-6"),
 }
@@ -235,14 +221,12 @@ def test_few_samples_are_refused_as_from_a_file(door, survey, field_map):
 
 
 def test_what_makes_a_survey_is_said(survey, frame):
-    path = is_refused(lambda: mm.register("room.csv", survey))
-    assert "read_survey" in path
+    assert "read_survey" in is_refused(lambda: mm.register("room.csv", survey))
     assert "Survey.from_dataframe" in is_refused(lambda: mm.register(frame, survey))
     assert "Survey(positions, field)" in is_refused(lambda: mm.build_map(survey.positions))
     assert "PRESETS" in is_refused(lambda: mm.register(survey, survey, "paper"))
     assert ".survey" in is_refused(lambda: mm.build_map(mm.build_map(survey, SETTINGS)))
     assert "build_map makes one map of several" in is_refused(lambda: mm.register([survey, survey], survey))
-    assert "Survey.from_dataframe" in is_refused(lambda: mm.slam(frame))
     assert "read_survey" in is_refused(lambda: mm.slam("walk.csv"))
 
 
@@ -288,12 +272,9 @@ def test_nullable_columns_are_numbers(survey, frame):
 
 def test_frame_gives_its_rows_in_order_and_in_units(survey, frame):
     pd = pytest.importorskip("pandas")
-    renamed = frame.rename(columns={"x": "East", "bx": "Mag X"}).assign(
-        t=pd.to_datetime(survey.times, unit="s"), other="a"
-    )
-    taken = mm.Survey.from_dataframe(
-        renamed, "uT", "cm", columns={"x": "east", "bx": "mag x"}, name="walk", pose_sd=0.1
-    )
+    times, columns = pd.to_datetime(survey.times, unit="s"), {"x": "east", "bx": "mag x"}
+    renamed = frame.rename(columns={"x": "East", "bx": "Mag X"}).assign(t=times, other="a")
+    taken = mm.Survey.from_dataframe(renamed, "uT", "cm", columns=columns, name="walk", pose_sd=0.1)
     np.testing.assert_allclose(taken.positions, survey.positions / 100, rtol=1e-15)
     np.testing.assert_allclose(taken.field, survey.field, rtol=1e-14)
     np.testing.assert_array_equal(taken.times, survey.times)
@@ -312,7 +293,6 @@ BAD_FRAMES = {
     "no z": (lambda f: mm.Survey.from_dataframe(f.drop(columns="z")), "missing z"),
     "unit": (lambda f: mm.Survey.from_dataframe(f, "gauss"), "T, mT, uT"),
     "length": (lambda f: mm.Survey.from_dataframe(f, "uT", "km"), "m, cm, mm"),
-    "our name": (lambda f: mm.Survey.from_dataframe(f, columns={"east": "x"}), "east"),
     "their name": (lambda f: mm.Survey.from_dataframe(f, columns={"x": "east"}), "'east' for x"),
     "two names for one": (lambda f: mm.Survey.from_dataframe(f, columns={"bx": ["bx", "by"]}), "for bx"),
     "a list of names": (lambda f: mm.Survey.from_dataframe(f, columns=COLUMNS), "ours to theirs"),
@@ -321,14 +301,7 @@ BAD_FRAMES = {
     "decimal commas": (lambda f: mm.Survey.from_dataframe(f.assign(by="2,5")), "text such as '2,5'"),
     "times of day": (lambda f: mm.Survey.from_dataframe(f.assign(t="12:00:01")), "to_datetime"),
     "one name twice": (lambda f: mm.Survey.from_dataframe(f[[*COLUMNS, "bx"]]), "found 2 of that name"),
-    "all names twice": (
-        lambda f: mm.Survey.from_dataframe(f.assign(t=np.arange(N))[["t", "t", *COLUMNS]], "uT"),
-        "one column for t, found 2",
-    ),
-    "words": (lambda f: mm.Survey.from_dataframe(f.assign(by="a")), "by"),
-    "NaN": (lambda f: mm.Survey.from_dataframe(f.assign(by=np.nan)), "by"),
     "twice": (lambda f: mm.Survey.from_dataframe(f.join(f["x"].rename("X"))[["x", *COLUMNS]]), "x"),
-    "no dates": (lambda f: mm.Survey.from_dataframe(f.assign(t=np.full(N, "NaT", "M8[s]"))), "t"),
     "array": (lambda f: mm.Survey.from_dataframe(f.to_numpy()), "Survey(positions, field)"),
     "no rows": (lambda f: mm.Survey.from_dataframe(f.iloc[:0]), "at least 1"),
 }
@@ -379,19 +352,14 @@ def test_dataset_without_xarray_names_the_extra(field_map, monkeypatch):
 
 BAD_MAP_CALLS = {
     "order": lambda m: m.evaluate([[0, 0, 0]], 3),
-    "order of covariance": lambda m: m.covariance([[0, 0, 0]], 2),
     "seed for rng": lambda m: m.draw([[0, 0, 0]], 2, 0, 5),
-    "no draws": lambda m: m.draw([[0, 0, 0]], 0, 0, np.random.default_rng(0)),
     "spacing": lambda m: m.grid_over(0.0),
-    "spacing of a dataset": lambda m: m.to_xarray(-1.0),
     "cut": lambda m: m.to_xarray(0.5, "z"),
     "matrix": lambda m: m.transformed(np.eye(4)),
     "indices for a mask": lambda m: m.without_samples(np.arange(3)),
     "seed": lambda m: mm.register(m, m, seed=-1),
-    "no surveys": lambda m: mm.build_map([]),
     "settings": lambda m: mm.build_map(m.survey, {"prior": "spline"}),
     "unknown prior": lambda m: mm.FieldConfig(prior="magic"),
-    "unknown setting": lambda m: mm.RegistrationConfig(colour=1),
     "unknown setting within": lambda m: mm.RegistrationConfig(field={"colour": 1}),
     "box inside out": lambda m: mm.FieldConfig(domain=(1, 0, 0, 0, 1, 1)),
     "setting without a name": lambda m: mm.FieldConfig("spline"),

@@ -99,7 +99,7 @@ def write_page(target, found, path):
 
 
 def write_view(shown, path):
-    from magmatch.viz.pages.view_page import write_view
+    from magmatch.viz.view import write_view
 
     write_view(path, [shown])
 

@@ -2,6 +2,7 @@
 """A pair of surveys of one known field, their maps, and results without running a registration."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,3 +68,14 @@ def pair() -> Pair:
         degenerate_directions=(DegenerateDirection(np.eye(6)[3], "sliding along base x"),),
     )
     return Pair(base, target, build_map(base, SPLINE), build_map(target, SPLINE), accepted, refused)
+
+
+@pytest.fixture(scope="session")
+def report(pair, tmp_path_factory) -> Path:
+    """The page of the registration that is accepted."""
+    pytest.importorskip("plotly")
+    from magmatch.viz.pages.registration_page import write_report
+
+    path = tmp_path_factory.mktemp("report") / "r.html"
+    write_report(path, pair.base_map, pair.target_map, pair.accepted)
+    return path

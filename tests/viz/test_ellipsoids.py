@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from magmatch.geometry import adjoint, covariance_about, exp_se3, random_transform
 from magmatch.registration.result import DegenerateDirection
-from magmatch.viz.figures.ellipsoids import LEVEL, direction_words, ellipsoids_at, swept
+from magmatch.viz.figures.certainty_figures import LEVEL, direction_words, ellipsoids_at, swept
 
 
 @pytest.fixture
@@ -24,13 +24,13 @@ def inside(ellipsoid, v):
 
 def test_ellipsoids_hold_their_share_of_drawn_transforms(case):
     rng, covariance, T, center = case
-    truths = [T * exp_se3(xi) for xi in rng.multivariate_normal(np.zeros(6), covariance, 4000)]
+    truths = [T * exp_se3(xi) for xi in rng.multivariate_normal(np.zeros(6), covariance, 1000)]
     place, turn = ellipsoids_at(covariance, T, center)
     shifts = np.array([S.apply(center) for S in truths]) - T.apply(center)
     turns = np.array([(S.rotation * T.rotation.inv()).as_rotvec() for S in truths])
-    # Four standard errors of a share of 4000 draws, and the second order of the exponential.
-    assert inside(place, shifts).mean() == pytest.approx(LEVEL, abs=0.015)
-    assert inside(turn, turns).mean() == pytest.approx(LEVEL, abs=0.015)
+    # Four standard errors of a share of 1000 draws, and the second order of the exponential.
+    assert inside(place, shifts).mean() == pytest.approx(LEVEL, abs=0.03)
+    assert inside(turn, turns).mean() == pytest.approx(LEVEL, abs=0.03)
 
 
 @pytest.mark.parametrize("origin", [(691234.5, 5334567.25, 512.0), (4177654.1, 855321.7, 4727811.3)])
@@ -72,15 +72,10 @@ def test_the_surface_is_where_the_squared_distance_is_the_quantile(case):
     v = place.surface(8).reshape(-1, 3)
     distance2 = np.einsum("ni,ij,nj->n", v, np.linalg.inv(R @ covariance[3:, 3:] @ R.T), v)
     np.testing.assert_allclose(distance2, chi2.ppf(LEVEL, 3), rtol=1e-6)
+    assert (np.diff(place.half_axes) <= 0).all()
 
 
-def test_half_axes_come_longest_first(case):
-    _, covariance, T, center = case
-    for ellipsoid in ellipsoids_at(covariance, T, center):
-        assert (np.diff(ellipsoid.half_axes) <= 0).all()
-
-
-@pytest.mark.parametrize("k", range(6))
+@pytest.mark.parametrize("k", [1, 4])
 def test_sweeping_moves_the_farthest_sample_as_far_as_asked(case, k):
     rng, _, T, center = case
     p = center + rng.normal(size=(50, 3))

@@ -9,7 +9,7 @@ from browser import Browser, find_browser
 
 pytest.importorskip("plotly")
 
-from magmatch.viz.figures.plotting import DARK, PAPER
+from magmatch.viz.figures.draw import DARK, PAPER
 from magmatch.viz.pages.map_page import write_map_report
 from magmatch.viz.pages.registration_page import write_report
 
@@ -30,13 +30,6 @@ TOO_WIDE = "document.documentElement.scrollWidth - window.innerWidth"
 def browser():
     with Browser(PATH) as started:
         yield started
-
-
-@pytest.fixture(scope="module")
-def report(pair, tmp_path_factory):
-    path = tmp_path_factory.mktemp("pages") / "report.html"
-    write_report(path, pair.base_map, pair.target_map, pair.accepted)
-    return path
 
 
 @pytest.fixture(scope="module")

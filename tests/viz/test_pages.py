@@ -5,7 +5,6 @@ import base64
 import gzip
 import json
 import re
-import sys
 from dataclasses import replace
 from html import unescape
 
@@ -14,24 +13,23 @@ import pytest
 import yaml
 
 from magmatch.data.survey import Survey
-from magmatch.errors import MissingExtraError
+from magmatch.localization.result import LocalizationResult, LocalizationStatus
+from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.result import Alternative, DegenerateDirection, Links, RegistrationResult, Status
-from magmatch.viz.figures.plotting import require_plotly
 from magmatch.viz.figures.registration_figures import shown_pose
-from magmatch.viz.pages.map_page import write_map_report
 from magmatch.viz.pages.registration_page import write_report
-from magmatch.viz.pages.view_page import write_view
-from magmatch.viz.verdict import MEANING, NEXT_STEPS, percent
+from magmatch.viz.pages.track_page import verdict_on
+from magmatch.viz.verdict import MEANING, NEXT_STEPS, next_steps, percent
+
+pytest.importorskip("plotly")
+from magmatch.viz.view import write_view
 
 LIMIT = 5e6
 
 
 @pytest.fixture(scope="module")
-def report(pair, tmp_path_factory):
-    pytest.importorskip("plotly")
-    path = tmp_path_factory.mktemp("report") / "r.html"
-    write_report(path, pair.base_map, pair.target_map, pair.accepted)
-    return path.read_text()
+def report(report):
+    return report.read_text()
 
 
 def without_links(page):
@@ -46,6 +44,8 @@ def figures_in(page):
 
 
 def test_a_report_needs_no_network(report):
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in report  # of a phone, too
+    assert "What the published method sees" not in report
     without_data = re.sub(r"<script type=.*?</script>", "", report, flags=re.DOTALL)
     assert not re.search(r"src\s*=|href\s*=\s*.[^#]|https?://|@import|url\(", without_data)
 
@@ -98,7 +98,6 @@ def test_settings_in_the_page_are_those_of_the_result(report, pair):
 
 @pytest.mark.parametrize("status", Status)
 def test_every_status_says_what_it_means_and_what_to_do(pair, tmp_path, status):
-    pytest.importorskip("plotly")
     result = pair.accepted if status is Status.ACCEPTED else replace(pair.refused, status=status)
     write_report(tmp_path / "r.html", None, None, result)
     page = unescape((tmp_path / "r.html").read_text())
@@ -107,14 +106,12 @@ def test_every_status_says_what_it_means_and_what_to_do(pair, tmp_path, status):
 
 
 def test_a_result_with_nothing_but_a_status_is_reported(pair, tmp_path):
-    pytest.importorskip("plotly")
     bare = RegistrationResult(Status.UNINFORMATIVE, "no structure", None)
     write_report(tmp_path / "r.html", pair.base_map, pair.target_map, bare)
     assert len(figures_in((tmp_path / "r.html").read_text())) == 2
 
 
 def test_other_poses_are_listed_with_their_numbers(pair, tmp_path):
-    pytest.importorskip("plotly")
     T = pair.accepted.T_base_target
     others = (Alternative(T, 0.6), *(Alternative(T * T, None) for _ in range(14)))
     result = replace(pair.refused, status=Status.AMBIGUOUS, alternatives=others)
@@ -127,7 +124,6 @@ def test_other_poses_are_listed_with_their_numbers(pair, tmp_path):
 
 
 def test_poses_in_other_maps_of_a_folder_are_named_but_not_drawn_in_this_one(pair, tmp_path):
-    pytest.importorskip("plotly")
     T = pair.accepted.T_base_target
     others = (Alternative(T, 0.4, "cellar.map", 12.5), Alternative(T * T, 0.3, None, 11.0))
     result = replace(pair.refused, alternatives=others, base="hall.map")
@@ -141,7 +137,6 @@ def test_poses_in_other_maps_of_a_folder_are_named_but_not_drawn_in_this_one(pai
 
 
 def test_what_the_decision_was_weighed_from_is_shown(pair, tmp_path):
-    pytest.importorskip("plotly")
     result = replace(pair.accepted, evidence={"log_odds": 221.5, "lead": None, "something_new": 3.0})
     write_report(tmp_path / "r.html", None, None, result)
     page = without_links((tmp_path / "r.html").read_text())
@@ -156,12 +151,7 @@ def test_a_probability_is_never_rounded_to_certainty():
     ]  # fmt: skip
 
 
-def test_a_report_fits_a_phone(report):
-    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in report
-
-
 def test_a_refusal_says_why_and_gives_no_transform(pair, tmp_path):
-    pytest.importorskip("plotly")
     write_report(tmp_path / "r.html", pair.base, pair.target, pair.refused)
     page = (tmp_path / "r.html").read_text()
     for words in ("Not accepted: degenerate", "sliding along base x", "No transform: none was accepted"):
@@ -169,15 +159,12 @@ def test_a_refusal_says_why_and_gives_no_transform(pair, tmp_path):
     assert len(figures_in(page)) == 5  # surveys, what is left free, other poses, and time, since there are no maps
 
 
-def test_the_same_result_gives_the_same_page(pair, tmp_path):
-    pytest.importorskip("plotly")
-    for name in ("a.html", "b.html"):
-        write_report(tmp_path / name, pair.base_map, pair.target_map, pair.accepted)
-    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+def test_the_same_result_gives_the_same_page(report, pair, tmp_path):
+    write_report(tmp_path / "r.html", pair.base_map, pair.target_map, pair.accepted)
+    assert (tmp_path / "r.html").read_text() == report
 
 
 def test_names_cannot_break_out_of_the_page(pair, tmp_path):
-    pytest.importorskip("plotly")
     evil = "</script><script>alert(1)</script>"
     inputs = ({"name": evil, "sha256": "a"}, {"name": evil, "sha256": "b"})
     base = replace(pair.base, name=evil)
@@ -190,7 +177,6 @@ def test_names_cannot_break_out_of_the_page(pair, tmp_path):
 
 
 def test_a_hundred_thousand_samples_stay_under_five_megabytes(pair, tmp_path):
-    pytest.importorskip("plotly")
     rng = np.random.default_rng(0)
     p = rng.uniform(0, 2, (100_000, 3))
     large = Survey(p, rng.normal(3e-5, 5e-6, p.shape), times=np.arange(100_000.0), name="large.csv")
@@ -199,11 +185,8 @@ def test_a_hundred_thousand_samples_stay_under_five_megabytes(pair, tmp_path):
     free = tuple(DegenerateDirection(xi, "words") for xi in np.eye(6))
     links = Links(p[:200], p[200:400])
     others = (Alternative(pair.accepted.T_base_target, 0.5),) * 30
-    refused = replace(pair.refused, degenerate_directions=free, links=links, alternatives=others)
     accepted = replace(pair.accepted, degenerate_directions=free, links=links, alternatives=others)
-    write_report(tmp_path / "r.html", base, target, refused)
     write_report(tmp_path / "a.html", base, target, accepted)
-    write_map_report(tmp_path / "m.html", base, [large], "magmatch map base.csv")
     write_view(tmp_path / "v.html", [large, base])
     for page in tmp_path.iterdir():
         assert page.stat().st_size < LIMIT
@@ -212,7 +195,6 @@ def test_a_hundred_thousand_samples_stay_under_five_megabytes(pair, tmp_path):
 
 
 def test_a_map_is_viewed_as_in_its_report_and_names_may_repeat(pair, tmp_path):
-    pytest.importorskip("plotly")
     write_view(tmp_path / "v.html", [pair.base_map, pair.base, pair.base])
     page = (tmp_path / "v.html").read_text()
     for words in ("Standard deviation", "Map of base.csv", "Coverage: base.csv", "Survey base.csv"):
@@ -221,7 +203,28 @@ def test_a_map_is_viewed_as_in_its_report_and_names_may_repeat(pair, tmp_path):
     assert len(set(anchors)) == len(anchors) == 7
 
 
-def test_a_missing_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    with pytest.raises(MissingExtraError, match=r"pip install '\.\[viz\]'"):
-        require_plotly()
+@pytest.mark.parametrize("status", [Status.AMBIGUOUS, Status.UNINFORMATIVE])
+@pytest.mark.parametrize("known", ["is_gravity_aligned", "is_planar"])
+def test_what_is_known_already_is_not_asked_for(status, known):
+    def advised(prior):
+        config = RegistrationConfig.model_validate({"prior": prior}).model_dump(mode="json")
+        return " ".join(next_steps(RegistrationResult(status, "so it is", None, config=config)))
+
+    assert "--gravity-aligned" in advised({})
+    assert "--gravity-aligned" not in advised({known: True})
+    assert "--prior-pose" in advised({known: True})
+
+
+@pytest.mark.parametrize(
+    ("status", "headline", "kind"),
+    [
+        (LocalizationStatus.LOCALIZED, "Localized; a pose for 83% of the time", "good"),
+        (LocalizationStatus.LOST, "Lost at the end; a pose for 83% of the time", "refused"),
+        (LocalizationStatus.NEVER, "Never", "refused"),
+    ],
+)
+def test_only_a_log_that_ended_localized_is_good_news(status, headline, kind):
+    said = verdict_on(LocalizationResult(status, "so it is", share=0.83))
+    assert f'class="verdict {kind}"' in said
+    assert f"{headline}</strong>" in said
+    assert "so it is" in said

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.viz.figures.residuals import LARGEST_ORDINARY, compare
+from magmatch.viz.figures.agreement_figures import LARGEST_ORDINARY, compare
 
 
 def test_the_truth_leaves_ordinary_residuals(pair):
@@ -56,7 +56,7 @@ def test_the_sensors_difference_is_taken_off(pair):
     np.testing.assert_allclose(mended.measured, plain.measured, atol=1e-15)
 
 
-@pytest.mark.parametrize("n", [1, 50, 10_000])
+@pytest.mark.parametrize("n", [50, 10_000])
 def test_only_so_many_samples_are_compared(pair, n):
     compared = compare(pair.base_map, pair.target, pair.accepted.T_base_target, pair.accepted, n)
     assert len(compared.rows) == len(compared.normalised) == min(n, len(pair.target))

@@ -11,8 +11,7 @@ from magmatch.slam.run import slam
 
 pytest.importorskip("plotly", reason="pictures are drawn with the extra 'viz'")
 
-from magmatch.viz.figures.session_figures import session_figures, weakness_figure
-from magmatch.viz.pages.session_page import write_session_report
+from magmatch.viz.pages.session_page import session_figures, weakness_figure, write_session_report
 
 
 @pytest.fixture(scope="module")

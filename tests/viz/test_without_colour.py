@@ -10,10 +10,9 @@ pytest.importorskip("plotly")
 
 from plotly.colors import get_colorscale, hex_to_rgb, sample_colorscale, unlabel_rgb
 
-from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
-from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
-from magmatch.viz.figures.ellipsoids import ellipsoids_at
-from magmatch.viz.figures.plotting import (
+from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure, compare
+from magmatch.viz.figures.certainty_figures import ellipsoid_figure, ellipsoids_at, free_figure, poses_figure
+from magmatch.viz.figures.draw import (
     BASE_COLOR,
     DARK,
     FIELD_SCALE,
@@ -24,7 +23,6 @@ from magmatch.viz.figures.plotting import (
     TARGET_COLOR,
 )
 from magmatch.viz.figures.registration_figures import match_figure, scene_figures, shown_pose
-from magmatch.viz.figures.residuals import compare
 from magmatch.viz.figures.survey_figures import profile_figure
 
 # WCAG 2.2, 1.4.11: what must be told apart contrasts at least this much.

@@ -7,6 +7,7 @@ import io
 import json
 import socket
 import zipfile
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -36,67 +37,46 @@ GZIP = {"Content-Encoding": "gzip"}
 REQUESTS = {
     "no such path": ("/nothing", None, {}, GET, 404),
     "a path of files": ("/../../etc/passwd", None, {}, GET, 404),
-    "an encoded path of files": ("/%2e%2e/%2e%2e/etc/passwd", None, {}, GET, 404),
-    "page of files": ("/page.js/../service.py", None, {}, GET, 404),
     "no such map": ("/maps/other.map", None, {}, GET, 404),
     "a map by its path": ("/maps/..%2f..%2fetc%2fpasswd", None, {}, GET, 404),
-    "a map by a full path": ("/maps//etc/passwd", None, {}, GET, 404),
     "a map with a NUL": ("/maps/hall%00.map", None, {}, GET, 404),
     "a map of bad UTF-8": ("/maps/%ff%fe", None, {}, GET, 404),
     "a very long name": ("/maps/" + "a" * 5000, None, {}, GET, 404),
     "GET for POST": ("/localize", None, {}, GET, 405),
-    "GET for POST, register": ("/register", None, {}, GET, 405),
     "POST for GET": ("/maps", b"x", {}, POST, 405),
     "DELETE": ("/maps/hall.map", None, {}, "DELETE", 405),
-    "PUT of a map": ("/maps/hall.map", b"x", {}, "PUT", 405),
     "live without a WebSocket": ("/live", None, {}, GET, 404),
-    "watch without a WebSocket": ("/watch", None, {}, GET, 404),
     "another page's origin": ("/maps", None, {"Origin": "https://evil.example"}, GET, 403),
-    "origin null": ("/maps", None, {"Origin": "null"}, GET, 403),
     "origin of another port": ("/localize", b"x", {"Origin": "http://127.0.0.1:1"}, POST, 403),
-    "origin that is none": ("/localize", b"x", {"Origin": "http://["}, POST, 403),
     "another host": ("/maps", None, {"Host": "evil.example"}, GET, 421),
-    "another host of our port": ("/maps", None, {"Host": "evil.example:8123"}, GET, 421),
     "a host that is none": ("/maps", None, {"Host": "[::"}, GET, 421),
     "no body": ("/localize", b"", {}, POST, 400),
-    "no body, register": ("/register", b"", {}, POST, 400),
     "unknown word": ("/localize?colour=red", table(9), {}, POST, 422),
     "a word twice": ("/localize?field_unit=T&field_unit=uT", table(9), {}, POST, 422),
     "a path of ours as trajectory": ("/localize?trajectory=/etc/passwd", table(9), {}, POST, 422),
-    "a path of ours as extrinsic": ("/localize?extrinsic=/etc/passwd", table(9), {}, POST, 422),
     "a word of the other path": ("/register?live=1", table(9), {}, POST, 422),
-    "another word of the other path": ("/localize?seed=1", table(9), {}, POST, 422),
     "unknown unit": ("/localize?field_unit=pound", table(9), {}, POST, 422),
-    "unknown frame": ("/localize?field_frame=moon", table(9), {}, POST, 422),
     "a switch that is none": ("/localize?live=perhaps", table(9), {}, POST, 422),
     "planar without gravity": ("/localize?planar=1&no_gravity=1", table(9), {}, POST, 422),
     "a seed below 0": ("/register?seed=-1", table(9), {}, POST, 422),
-    "a seed that is no number": ("/register?seed=NaN", table(9), {}, POST, 422),
     "pose_sd that is infinite": ("/register?pose_sd=-1", table(9), {}, POST, 422),
     "columns that are none": ("/localize?columns=a", table(9), {}, POST, 422),
     "text": ("/localize", b"hello, world\n" * 9, {}, POST, 422),
-    "JSON": ("/localize", b'{"t": 1}', {}, POST, 422),
-    "bytes": ("/localize", bytes(range(256)) * 9, {}, POST, 422),
     "zeros": ("/localize", bytes(999), {}, POST, 422),
     "a picture": ("/localize", b"\x89PNG\r\n\x1a\n" + bytes(99), {}, POST, 422),
     "an empty zip": ("/localize", b"PK\x05\x06" + bytes(18), {}, POST, 422),
-    "half a zip": ("/localize", zipped(5000)[:60], {}, POST, 422),
     "a zip bomb": ("/localize", zipped(30_000_000), {}, POST, 413),
     "half a gzip": ("/localize", gzip.compress(table(99))[:40], {}, POST, 422),
-    "header alone": ("/localize", CSV, {}, POST, 422),
     "one sample": ("/localize", table(1), {}, POST, 422),
     "NaN": ("/localize", table(9) + b"9,nan,0,0,2e-5,0,0,0,0,0,1\n", {}, POST, 422),
-    "infinity": ("/localize", table(9) + b"9,inf,0,0,2e-5,0,0,0,0,0,1\n", {}, POST, 422),
     "microtesla": ("/localize", table(99, b"%d,%d,0,0,20,0,-40,0,0,0,1\n"), {}, POST, 422),
     "no times": ("/localize", b"x,y,z,bx,by,bz\n" + b"".join(b"%d,0,%d,2e-5,0,0\n" % (k, k % 3) for k in range(99)),
                  {}, POST, 422),
-    "a column missing": ("/localize", b"t,x,y,z,bx,by\n" + b"0,0,0,0,0,0\n" * 9, {}, POST, 422),
     "a row too short": ("/localize", table(9) + b"9,9\n", {}, POST, 422),
     "too long a log": ("/localize", table(2000), {}, POST, 413),
     "too long a body": ("/localize", b"x" * 200_001, {}, POST, 413),
     "a body said to be too long": ("/localize", b"x", {"Content-Length": "99999999999"}, POST, 413),
     "an unknown coding": ("/localize", table(9), {"Content-Encoding": "br"}, POST, 415),
-    "two codings": ("/localize", table(9), {"Content-Encoding": "gzip, gzip"}, POST, 415),
     "gzip that is none": ("/localize", table(9), GZIP, POST, 400),
     "gzip that is cut": ("/localize", gzip.compress(table(500))[:-9], GZIP, POST, 400),
     "a gzip bomb": ("/localize", gzip.compress(b"0" * 3_000_000), GZIP, POST, 413),
@@ -170,14 +150,11 @@ def test_a_websocket_of_another_path_is_told_so(door, path):
 HELLOS = {
     "not JSON": ("hello", 4400),
     "binary": (b"hello", 4400),
-    "a list": ("[]", 4422),
     "another type": ('{"type": "goodbye"}', 4422),
     "an unknown word": ('{"type": "hello", "map": "/etc/passwd"}', 4422),
     "a short key": ('{"type": "hello", "key": "a"}', 4422),
     "a path as key": (json.dumps({"type": "hello", "key": "../" * 14 + "a"}), 4422),
-    "a number as key": ('{"type": "hello", "key": 7}', 4422),
     "a long name": (json.dumps({"type": "hello", "name": "a" * 41}), 4422),
-    "another form of answers": ('{"type": "hello", "answers": "xml"}', 4422),
     "deeply nested": ("[" * 5000, 4400),
 }
 
@@ -203,13 +180,10 @@ FRAMES = {
     "not JSON": (lambda _: "sample", 400),
     "NaN": (lambda row: json.dumps(row | {"t": float("nan")}), 422),
     "infinity": (lambda row: json.dumps(row | {"field": [float("inf"), 0, 0]}), 422),
-    "a number that overflows": (lambda row: json.dumps(row).replace('"t": ', '"t": 1e999, "u": '), 422),
     "a field missing": (lambda row: json.dumps({"t": row["t"]}), 422),
     "a word too many": (changed(name="x"), 422),
-    "two coordinates": (changed(position=[0, 0]), 422),
     "words for numbers": (changed(position=["a", "b", "c"]), 422),
     "a zero quaternion": (changed(orientation=[0, 0, 0, 0]), 422),
-    "a quaternion of norm 2": (changed(orientation=[0, 0, 0, 2]), 422),
     "microtesla": (changed(field=[20.0, 0.0, 40.0]), 422),
     "no samples": (lambda _: '{"samples": []}', 422),
     "too many samples": (lambda row: json.dumps({"samples": [row] * 51}), 413),
@@ -254,18 +228,11 @@ def test_a_message_that_is_too_long_is_refused(door):
 
 
 def test_one_client_too_many_is_refused(door):
-    with pytest.raises(InvalidStatus) as refused:
-        crowd(door, 9)
+    with pytest.raises(InvalidStatus) as refused, ExitStack() as stack:
+        for _ in range(9):
+            stack.enter_context(client(door))
     assert refused.value.response.status_code == 503
     assert is_a_sentence_of_its_own(json.loads(refused.value.response.body)["message"])
-
-
-def crowd(door, n):
-    from contextlib import ExitStack
-
-    with ExitStack() as stack:
-        for _ in range(n):
-            stack.enter_context(client(door))
 
 
 def test_whoever_says_no_hello_is_sent_away(door):
@@ -282,10 +249,8 @@ def test_a_page_from_elsewhere_gets_no_websocket(door, headers):
             connect(door.live, proxy=None, origin=origin).close()
         else:
             # The address of this machine under another name, as rebinding has it.
-            import socket as sockets
-
             host, port = door.url.removeprefix("http://").split(":")
-            wire = sockets.create_connection((host, int(port)))
+            wire = socket.create_connection((host, int(port)))
             connect(f"ws://evil.example:{port}/live", sock=wire, proxy=None).close()
     assert refused.value.response.status_code == (403 if origin else 421)
 
@@ -295,15 +260,8 @@ def test_with_a_token_nothing_is_told_without_it(hall, tmp_path):
     token = "a-token-of-enough-letters"
     (tmp_path / "token").write_text(token + "\n")
     (tmp_path / "limits.yaml").write_text("max_requests: 60\ntrackers: 1\n")
-    words = (
-        "--token-file",
-        tmp_path / "token",
-        "--states",
-        tmp_path / "states",
-        "--config",
-        tmp_path / "limits.yaml",
-    )
-    with serving(hall.map, *words) as service:
+    words = ("--token-file", tmp_path / "token", "--config", tmp_path / "limits.yaml")
+    with serving(hall.map, *words, "--states", tmp_path / "states") as service:
         for path in ("/maps", "/metrics", "/maps/hall.map"):
             assert service.ask(path)[0] == 401
             assert service.ask(path, headers={"Authorization": "Bearer wrong"})[0] == 401

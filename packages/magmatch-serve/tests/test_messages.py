@@ -14,7 +14,6 @@ from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch_serve.messages import (
     POSE,
     SAMPLE,
-    Samples,
     read_hello,
     read_pose,
     read_samples,
@@ -70,7 +69,7 @@ def stated(rng):
     return PoseEstimate(LocalizerStatus.LOCALIZED, "why", T.as_matrix(), A @ A.T, 0.999, map="hall")
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_pose_comes_back_as_it_was(seed):
     now = stated(np.random.default_rng(seed))
     for binary in (False, True):
@@ -98,7 +97,7 @@ def test_a_binary_sample_holds_what_a_json_one_does():
     row = {
         "t": 1e9 + 0.25,
         "position": [1.5, -2.25, 0.5],
-        "orientation": [0.0, 0.0, 0.6, 0.8],
+        "orientation": [0.0, 0, 0.6, 0.8],
         "field": [2e-5, 0, 4e-5],
     }
     packed = write_sample(*(np.array(row[key]) for key in row))
@@ -115,12 +114,3 @@ def test_a_binary_position_that_float32_cannot_hold_is_refused():
         read_samples(near + far, 2)
     row = {"t": 2.0, "position": UTM.tolist(), "orientation": q.tolist(), "field": b.tolist()}
     np.testing.assert_array_equal(read_samples(json.dumps(row), 1)[0, 1:4], UTM)
-
-
-def test_the_schema_of_samples_is_the_one_that_is_read():
-    assert set(Samples.model_json_schema()["$defs"]["Sample"]["required"]) == {
-        "t",
-        "position",
-        "orientation",
-        "field",
-    }

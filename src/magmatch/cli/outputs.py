@@ -30,7 +30,7 @@ def check_outputs(
         if not place.exists() or place.is_file():  # two results may share a device such as /dev/stdout
             taken[place] = "another result"
     if page is not None:
-        from magmatch.viz.figures.plotting import require_plotly
+        from magmatch.viz.figures.draw import require_plotly
 
         require_plotly()
 

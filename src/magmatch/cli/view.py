@@ -101,7 +101,7 @@ def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) 
 
 def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
     from magmatch.viz.pages.registration_page import write_report
-    from magmatch.viz.pages.view_page import write_view
+    from magmatch.viz.view import write_view
 
     if result is None:
         write_view(goal, drawn)

@@ -9,7 +9,7 @@ from magmatch.errors import ConfigurationError, import_extra
 from magmatch.field.map import FieldMap
 from magmatch.published.config import PublishedConfig
 from magmatch.registration.result import RegistrationResult
-from magmatch.viz.figures.plotting import require_plotly
+from magmatch.viz.figures.draw import require_plotly
 from magmatch.viz.figures.published_figures import published_figures
 from magmatch.viz.view import view
 

@@ -21,7 +21,7 @@ from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.session import Session
 from magmatch.typing import Indices, Matrix, Scalars, Vector3
-from magmatch.viz.figures.plotting import UT_PER_TESLA, magnitude_ut, origins_of, thinned
+from magmatch.viz.figures import draw
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on
 from magmatch.viz.verdict import headline
@@ -48,7 +48,7 @@ class Part:
     @property
     def rows(self) -> Indices:
         """Samples that are drawn."""
-        return thinned(len(self.survey), MAX_SHOWN)
+        return draw.thinned(len(self.survey), MAX_SHOWN)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,7 +90,7 @@ class RerunScene:
         """Both ends of every link in the base's frame, (n, 2, 3), with the target where `pose_of_target` has it."""
         if self.result is None:
             return np.zeros((0, 2, 3), dtype=np.float32)
-        rows, ends = thinned(len(self.result.links.base), MAX_LINKS), self.result.links
+        rows, ends = draw.thinned(len(self.result.links.base), MAX_LINKS), self.result.links
         base, target = self.origins
         moved = self.pose_of_target(share).apply(ends.target[rows] - target)
         return np.stack([ends.base[rows] - base, moved], axis=1).astype(np.float32)
@@ -104,8 +104,8 @@ def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | No
         Part(name, survey, item if isinstance(item, FieldMap) else None)
         for name, survey, item in zip(names, surveys, drawn, strict=True)
     )
-    limits = common_limits(*(magnitude_ut(survey.field) for survey in surveys))
-    origins = tuple(origins_of(*(survey.positions for survey in surveys)))
+    limits = common_limits(*(draw.magnitude_ut(survey.field) for survey in surveys))
+    origins = tuple(draw.origins_of(*(survey.positions for survey in surveys)))
     T_base_target = None if result is None else shown_pose(result)
     if T_base_target is not None:
         T_base, T_target = (RigidTransform.from_translation(origin) for origin in origins)
@@ -164,7 +164,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, ori
     """Samples, and the map on a cut."""
     low, high = box_of(shown)
     size = float(np.linalg.norm(high - low))
-    magnitude = magnitude_ut(part.survey.field[part.rows])
+    magnitude = draw.magnitude_ut(part.survey.field[part.rows])
     samples = rr.Points3D(
         (part.survey.positions[part.rows] - origin).astype(np.float32),
         colors=shaded(magnitude, shown.limits).astype(np.uint8),
@@ -172,7 +172,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, ori
     )
     recording.log(_path(rr, part.name, "samples"), samples, static=True)
     # For the table of the viewer, and for programs that read the recording.
-    bx, by, bz = UT_PER_TESLA * part.survey.field[part.rows].T
+    bx, by, bz = draw.UT_PER_TESLA * part.survey.field[part.rows].T
     values = rr.AnyValues(bx_ut=bx, by_ut=by, bz_ut=bz)
     recording.log(_path(rr, part.name, "samples"), values, static=True)
     if origin.any():
@@ -181,7 +181,7 @@ def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, ori
         return
     cut = cut_through(part.survey.positions)
     field, is_known = field_on(cut, part.field_map)
-    colors = shaded(magnitude_ut(field), shown.limits)
+    colors = shaded(draw.magnitude_ut(field), shown.limits)
     faces = _faces(cut, is_known)
     if len(faces):
         mesh = rr.Mesh3D(
@@ -230,7 +230,7 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
 
 def box_of(shown: RerunScene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner of all parts, the target where it belongs, as recorded."""
-    p = [part.survey.positions[thinned(len(part.survey), 2000)] - origin for part, origin in shown.placed]
+    p = [part.survey.positions[draw.thinned(len(part.survey), 2000)] - origin for part, origin in shown.placed]
     if shown.T_base_target is not None:
         p[-1] = shown.T_base_target.apply(p[-1])
     everything = np.concatenate(p)

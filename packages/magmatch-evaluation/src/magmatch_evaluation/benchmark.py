@@ -4,14 +4,24 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
 from magmatch_evaluation.parallel import run_all
 from magmatch_evaluation.plan import Plan
-from magmatch_evaluation.progress import Progress, TimeEstimator
 from magmatch_evaluation.rows import AnyRow, MapRow, Row, RowFile, write_csv
-from magmatch_evaluation.trial import run_batch
+from magmatch_evaluation.trial import Batch, run_batch
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a run is, in trials, those of earlier runs included; the rest at the pace of this run's so far."""
+
+    n_done: int
+    n_all: int
+    seconds_left: float | None = None  # None before the first
+    last: Batch | None = None
 
 
 def evaluate(
@@ -40,14 +50,17 @@ def evaluate(
         file.mend()
     known = kept()
     todo = plan.remaining({row.key for row in known})
-    clock = TimeEstimator(known, len(wanted), todo)
-    tell(clock.progress())
+    n_known, n_done, start = len(known), len(known), time.monotonic()
+    tell(Progress(n_known, len(wanted)))
     in_time = takewhile(lambda _: time.monotonic() < deadline, todo)
     for batch, rows in run_all(run_batch, in_time, jobs, scheduler):
         for file in files:
             if own := [row for row in rows if isinstance(row, file.kind)]:
                 file.append(own)
-        tell(clock.after(batch, rows))
+        n_done += len(rows)
+        # Each seed asks all that the one before did: trials of all kinds come evenly.
+        pace = (time.monotonic() - start) / (n_done - n_known)
+        tell(Progress(n_done, len(wanted), pace * (len(wanted) - n_done), batch))
     found = kept()
     for file in files:
         if file.path.exists():

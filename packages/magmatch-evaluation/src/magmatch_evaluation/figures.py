@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magmatch.viz.figures.plotting import described, new_plane, require_plotly
+from magmatch.viz.figures.draw import described, new_plane, require_plotly
 from magmatch_evaluation.experiments import Experiment
 from magmatch_evaluation.rows import AnyRow, Row
 from magmatch_evaluation.statistics import Summaries

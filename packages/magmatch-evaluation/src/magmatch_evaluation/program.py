@@ -16,8 +16,8 @@ from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import check_folder
 
 if TYPE_CHECKING:
+    from magmatch_evaluation.benchmark import Progress
     from magmatch_evaluation.experiments import Experiment
-    from magmatch_evaluation.progress import Progress
     from magmatch_evaluation.saved_table import Saver
 
 EXAMPLES = (

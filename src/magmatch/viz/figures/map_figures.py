@@ -1,27 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of one map: the field on cuts, its standard deviation, and the comparison of priors."""
+"""Pictures of one map: the field on cuts, how well it is known where, and the comparison of priors."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
-from magmatch.typing import Scalars
-from magmatch.viz.figures.coverage import Coverage
-from magmatch.viz.figures.plotting import (
-    BASE_COLOR,
-    FIELD_SCALE,
-    INK,
-    PAPER,
-    SPREAD_SCALE,
-    UT_PER_TESLA,
-    described,
-    flat,
-    label,
-    magnitude_ut,
-    new_plane,
-    require_plotly,
-)
+from magmatch.typing import Mask, Points, Scalars
+from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import (
     Cut,
     common_limits,
@@ -35,6 +23,61 @@ from magmatch.viz.figures.slices import (
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+
+# Points of the box at which the map is evaluated.
+N_ASKED = 6000
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Coverage:
+    """A map evaluated at points throughout the box around its samples."""
+
+    known_share: float  # share of the box that the map knows
+    volume: float  # m^3: of the box
+    sd: Scalars  # (n,), T: standard deviation of one component of the field at the known points, increasing
+    variation: float  # T: standard deviation of one component over the samples: the error of a map without structure
+
+    def share_below(self, sd: float) -> float:
+        """Share of the known part with at most this standard deviation."""
+        return float((self.sd <= sd).mean()) if len(self.sd) else 0.0
+
+    def quantile(self, share: float) -> float | None:
+        """Quantile of the standard deviation over the known part; None if nothing is known."""
+        return float(np.quantile(self.sd, share)) if len(self.sd) else None
+
+
+def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Scalars]:
+    """Coverage of the box around a map's samples, and the standard deviation of a component (T) at other points.
+
+    One query for both: the tiles of a large map keep no factors, and making them takes nearly all the time.
+    """
+    size = np.ptp(field_map.survey.transformed(field_map.T_map_model.inv()).positions, axis=0)
+    sides = np.maximum(size, 0.02 * size.max())  # of a flat survey the thickness hardly matters
+    grid = field_map.grid_over(float((sides.prod() / N_ASKED) ** (1 / 3)) or 1.0)
+    box = grid.points()
+    is_known = field_map.knows(box)
+    asked = np.concatenate([box[is_known], points])
+    sd = np.sqrt(np.maximum(np.trace(field_map.covariance(asked), axis1=1, axis2=2) / 3, 0))
+    n = int(is_known.sum())
+    coverage = Coverage(
+        known_share=float(is_known.mean()),
+        volume=float(size.prod()),
+        sd=np.sort(sd[:n]),
+        variation=float(np.sqrt(field_map.survey.field.var(axis=0).mean())),
+    )
+    return coverage, sd[n:]
+
+
+def left_out(field_map: FieldMap, read: Survey) -> Mask:
+    """Samples of a survey that the map was not made from."""
+    kept = {row.tobytes() for part in field_map.surveys for row in _rows(part)}
+    return np.array([row.tobytes() not in kept for row in _rows(read)], dtype=bool)
+
+
+def _rows(survey: Survey) -> np.ndarray:
+    return np.ascontiguousarray(np.hstack([survey.positions, survey.field]))
+
+
 # A box at least this thick, in its longest side, is cut along all three axes.
 THICK = 0.15
 # Samples marked on a cut, those nearest to it.
@@ -43,15 +86,15 @@ MAX_MARKED = 400
 
 def field_figures(field_map: FieldMap) -> "list[Figure]":
     """Magnitude on every cut worth drawing, and the three components on the main one."""
-    p, limits = field_map.survey.positions, common_limits(magnitude_ut(field_map.survey.field))
+    p, limits = field_map.survey.positions, common_limits(draw.magnitude_ut(field_map.survey.field))
     main = cut_through(p)
     field, is_known = field_on(main, field_map)
-    name = label(field_map.survey.name)
+    name = draw.label(field_map.survey.name)
     figures = [magnitude_slice(f"{name}: |B|, posterior mean", main, field, is_known, limits)]
     for k, axis in enumerate("xyz"):
-        values = UT_PER_TESLA * field[:, k]
-        range_k = common_limits(UT_PER_TESLA * field_map.survey.field[:, k])
-        figures.append(slice_figure(f"B{axis}", main, values, is_known, range_k, FIELD_SCALE))
+        values = draw.UT_PER_TESLA * field[:, k]
+        range_k = common_limits(draw.UT_PER_TESLA * field_map.survey.field[:, k])
+        figures.append(slice_figure(f"B{axis}", main, values, is_known, range_k, draw.FIELD_SCALE))
     size = np.ptp(p, axis=0)
     for normal in main.axes[:2] if size.min() >= THICK * size.max() else ():
         cut = cut_normal_to(p, normal)
@@ -62,44 +105,44 @@ def field_figures(field_map: FieldMap) -> "list[Figure]":
 def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
     """Standard deviation of a component on a cut, with the samples nearest to it."""
     p = field_map.survey.positions
-    sd, is_known = UT_PER_TESLA * sd, field_map.knows(cut.points)
+    sd, is_known = draw.UT_PER_TESLA * sd, field_map.knows(cut.points)
     nearest = np.argsort(np.abs(p[:, cut.axes[2]] - cut.height), kind="stable")[:MAX_MARKED]
-    circles = {"size": 3, "color": PAPER, "line": {"color": INK, "width": 0.7}}
-    marks = flat(cut.along(p[nearest]), marker=circles, name="samples", hoverinfo="skip")
+    circles = {"size": 3, "color": draw.PAPER, "line": {"color": draw.INK, "width": 0.7}}
+    marks = draw.flat(cut.along(p[nearest]), marker=circles, name="samples", hoverinfo="skip")
     limits = common_limits(sd[is_known])
     note = f"; circles: the {len(nearest)} samples nearest to the cut"
-    return slice_figure("Standard deviation of a component", cut, sd, is_known, limits, SPREAD_SCALE, [marks], note)
+    return slice_figure(
+        "Standard deviation of a component", cut, sd, is_known, limits, draw.SPREAD_SCALE, [marks], note
+    )
 
 
 def coverage_figure(coverage: Coverage) -> "Figure":
     """Cumulative distribution of the standard deviation over the known part."""
-    sd = UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
+    sd = draw.UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
     share = np.linspace(0, 1, len(sd))
-    line = {"color": BASE_COLOR, "width": 2.5}
-    curve = flat(np.column_stack([sd, share]), "lines", line=line, showlegend=False)
-    figure = new_plane(
+    line = {"color": draw.BASE_COLOR, "width": 2.5}
+    curve = draw.flat(np.column_stack([sd, share]), "lines", line=line, showlegend=False)
+    figure = draw.new_plane(
         "Uncertainty over the known part<br><sub>share of the known volume with a smaller standard deviation</sub>",
         [curve], "standard deviation of a component (uT)", "share", is_equal=False,
     )  # fmt: skip
     figure.update_yaxes(range=[0, 1.02])
-    median = coverage.quantile(0.5) or 0.0
-    return described(
-        figure,
-        f"Curve of the share of the known part by standard deviation: half is below {UT_PER_TESLA * median:.3g} uT.",
-    )
+    half = draw.UT_PER_TESLA * (coverage.quantile(0.5) or 0.0)
+    words = f"Curve of the share of the known part by standard deviation: half is below {half:.3g} uT."
+    return draw.described(figure, words)
 
 
 def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
     """Error on held-out data by prior: bars, the chosen one filled, the others hatched."""
     names = sorted(errors, key=lambda name: errors[name])
-    values: Scalars = UT_PER_TESLA * np.array([errors[name] for name in names])
-    bars = require_plotly().Bar(
+    values: Scalars = draw.UT_PER_TESLA * np.array([errors[name] for name in names])
+    bars = draw.require_plotly().Bar(
         x=values, y=[f"{name} (chosen)" if name == taken else name for name in names], orientation="h",
         text=[f"{v:.3g} uT" for v in values], textposition="outside", cliponaxis=False, hoverinfo="skip",
-        marker={"color": BASE_COLOR, "pattern": {"shape": ["" if name == taken else "/" for name in names]}},
+        marker={"color": draw.BASE_COLOR, "pattern": {"shape": ["" if name == taken else "/" for name in names]}},
         showlegend=False,
     )  # fmt: skip
-    figure = new_plane(
+    figure = draw.new_plane(
         "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>",
         [bars], "error (uT)", "", is_equal=False,
     )  # fmt: skip
@@ -107,4 +150,4 @@ def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
     figure.update_xaxes(range=[0, 1.3 * float(values.max())])
     figure.update_layout(height=130 + 40 * len(names))
     told = ", ".join(f"{name} {v:.3g} uT" for name, v in zip(names, values, strict=True))
-    return described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")
+    return draw.described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")

@@ -14,28 +14,7 @@ from magmatch.published.recursion import recursively
 from magmatch.published.register import comparable
 from magmatch.registration.result import Links
 from magmatch.typing import Indices, Points
-from magmatch.viz.figures.plotting import (
-    BASE_COLOR,
-    BASE_MARKER,
-    FIELD_SCALE,
-    INK,
-    LINK_COLOR,
-    QUIET,
-    SPREAD_SCALE,
-    TARGET_COLOR,
-    TARGET_MARKER,
-    UT_PER_TESLA,
-    between,
-    colorbar,
-    curves3d,
-    described,
-    for_display,
-    magnitude_ut,
-    new_scene,
-    points3d,
-    require_plotly,
-    thinned,
-)
+from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import common_limits, cut_normal_to, cut_through, heatmap, hollow_marks
 
 if TYPE_CHECKING:
@@ -72,21 +51,25 @@ def linked_keypoints_figure(
     shift[1:] = (sides[0].mean(axis=0) - sides[1].mean(axis=0))[1:]
     traces = [_samples(sides[0], "samples"), _samples(sides[1] + shift, None)]
     for one, rows, offset, name, color, symbol in (
-        (base, base_rows, np.zeros(3), "base", BASE_COLOR, BASE_MARKER),
-        (target, target_rows, shift, "target", TARGET_COLOR, TARGET_MARKER),
+        (base, base_rows, np.zeros(3), "base", draw.BASE_COLOR, draw.BASE_MARKER),
+        (target, target_rows, shift, "target", draw.TARGET_COLOR, draw.TARGET_MARKER),
     ):
         marker = {"size": 1.5, "color": color, "symbol": symbol}
         traces.append(
-            points3d(one.positions[rows] + offset, name=f"keypoints of {name}", marker=marker, hoverinfo="name")
+            draw.points3d(one.positions[rows] + offset, name=f"keypoints of {name}", marker=marker, hoverinfo="name")
         )
-    line = {"color": LINK_COLOR, "width": 1}
+    line = {"color": draw.LINK_COLOR, "width": 1}
     if len(links.base):
-        traces.append(curves3d(between(links.base, links.target + shift), name="links", line=line, opacity=0.4))
+        traces.append(
+            draw.curves3d(draw.between(links.base, links.target + shift), name="links", line=line, opacity=0.4)
+        )
     counts = f"{len(base_rows)} and {len(target_rows)} keypoints, {len(links.base)} links"
-    figure = new_scene("Keypoints and links", traces, f"left: base, right: target, each in its own frame; {counts}")
+    figure = draw.new_scene(
+        "Keypoints and links", traces, f"left: base, right: target, each in its own frame; {counts}"
+    )
     # From the front, so that the maps lie beside each other rather than behind.
     figure.update_layout(height=560, scene_camera={"eye": {"x": 0.15, "y": -1.5, "z": 0.9}})
-    return described(figure, f"Base (left) and target (right) in space with {counts} between them.")
+    return draw.described(figure, f"Base (left) and target (right) in space with {counts} between them.")
 
 
 def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
@@ -98,11 +81,11 @@ def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
     k = int(counts.argmax())
     cut = cut_normal_to(p, normal, float(edges[k] + edges[k + 1]) / 2)
     # Its cube root, a typical second derivative: the determinant itself has a few spikes and nothing else.
-    response = UT_PER_TESLA * np.cbrt(curvature_response(inferred.field_map.evaluate(cut.points, 2)))
+    response = draw.UT_PER_TESLA * np.cbrt(curvature_response(inferred.field_map.evaluate(cut.points, 2)))
     is_known = inferred.field_map.knows(cut.points) & np.isfinite(response)
     limits, unit = common_limits(response[is_known]), "uT/m2"
     image = heatmap(
-        cut, response, is_known, limits, SPREAD_SCALE, colorbar=colorbar(unit),
+        cut, response, is_known, limits, draw.SPREAD_SCALE, colorbar=draw.colorbar(unit),
         hovertemplate="%{x:.2f}, %{y:.2f} m<br>%{z:.3g} uT/m2<extra></extra>",
     )  # fmt: skip
     near = rows[np.abs(inferred.positions[rows, normal] - cut.height) < inferred.spacing]
@@ -113,38 +96,41 @@ def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
     )
     figure = cut.figure(f"{title}</sub>", [image, marks])
     figure.update_layout(showlegend=False)
-    return described(figure, f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints.")
+    return draw.described(figure, f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints.")
 
 
 def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices | None = None) -> "Figure":
     """The field at X* as arrows, and the local frames of chosen keypoints: rows of ``frames``, by default eight."""
-    go, some = require_plotly(), thinned(len(inferred), MAX_ARROWS)
+    go, some = draw.require_plotly(), draw.thinned(len(inferred), MAX_ARROWS)
     p, b = inferred.positions[some], inferred.field[some]
-    chosen = thinned(len(frames), 8) if chosen is None else chosen
-    limits = common_limits(magnitude_ut(b))
+    chosen = draw.thinned(len(frames), 8) if chosen is None else chosen
+    limits = common_limits(draw.magnitude_ut(b))
     # In metres for each uT: the median arrow is two spacings long.
-    length = 2 * inferred.spacing / max(float(np.median(magnitude_ut(b))), np.finfo(float).tiny)
-    x, y, z = for_display(p).T
-    u, v, w = for_display(UT_PER_TESLA * b).T
+    length = 2 * inferred.spacing / max(float(np.median(draw.magnitude_ut(b))), np.finfo(float).tiny)
+    x, y, z = draw.for_display(p).T
+    u, v, w = draw.for_display(draw.UT_PER_TESLA * b).T
     arrows = go.Cone(
-        x=x, y=y, z=z, u=u, v=v, w=w, sizemode="raw", sizeref=length, colorscale=FIELD_SCALE, cmin=limits[0],
-        cmax=limits[1], colorbar=colorbar("uT"), name="field", opacity=0.3,
+        x=x, y=y, z=z, u=u, v=v, w=w, sizemode="raw", sizeref=length, colorscale=draw.FIELD_SCALE, cmin=limits[0],
+        cmax=limits[1], colorbar=draw.colorbar("uT"), name="field", opacity=0.3,
         hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{u:.1f}, %{v:.1f}, %{w:.1f} uT<extra></extra>",
     )  # fmt: skip
     at, axes, reach = inferred.positions[frames.rows[chosen]], frames.axes[chosen], 3 * inferred.spacing
-    traces: list[Any] = [arrows, points3d(at, name="keypoints", marker={"size": 4, "color": INK}, showlegend=False)]
+    traces: list[Any] = [
+        arrows,
+        draw.points3d(at, name="keypoints", marker={"size": 4, "color": draw.INK}, showlegend=False),
+    ]
     for k, (axis, color) in enumerate(zip("xyz", AXES, strict=True)):
         line = {"color": color, "width": 7}
-        ends = between(at, at + reach * axes[:, :, k])
-        traces.append(curves3d(ends, name=f"{axis} axes", line=line, showlegend=False))
+        ends = draw.between(at, at + reach * axes[:, :, k])
+        traces.append(draw.curves3d(ends, name=f"{axis} axes", line=line, showlegend=False))
     n_frames = f"{len(chosen)} of {len(frames)} frames"
     words = f"{len(some)} of {len(inferred)} points of X* drawn; {n_frames}: x red, y green, z blue"
-    figure = new_scene("Field and local frames", traces, words)
-    return described(figure, f"Arrows of the field in space, coloured by magnitude; {words}.")
+    figure = draw.new_scene("Field and local frames", traces, words)
+    return draw.described(figure, f"Arrows of the field in space, coloured by magnitude; {words}.")
 
 
 def _samples(p: Points, name: str | None) -> Any:
-    some = p[thinned(len(p), MAX_SAMPLES)]
-    return points3d(
-        some, name=name, showlegend=name is not None, marker={"size": 1, "color": QUIET}, hoverinfo="skip"
+    some = p[draw.thinned(len(p), MAX_SAMPLES)]
+    return draw.points3d(
+        some, name=name, showlegend=name is not None, marker={"size": 1, "color": draw.QUIET}, hoverinfo="skip"
     )

@@ -13,31 +13,7 @@ from magmatch.geometry import transform_points
 from magmatch.number_text import told
 from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Points, Vector3
-from magmatch.viz.figures.plotting import (
-    BASE_COLOR,
-    BASE_MARKER,
-    FIELD_SCALE,
-    INK,
-    LINK_COLOR,
-    PAPER,
-    SPREAD_SCALE,
-    TARGET_COLOR,
-    TARGET_MARKER,
-    UT_PER_TESLA,
-    between,
-    curves3d,
-    described,
-    flat,
-    for_display,
-    label,
-    magnitude_ut,
-    new_plane,
-    new_scene,
-    origins_of,
-    points3d,
-    require_plotly,
-    thinned,
-)
+from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import (
     common_limits,
     cut_through,
@@ -73,21 +49,26 @@ def links_figure(result: RegistrationResult) -> "Figure":
         msg = "view: expected a result with pose and matching points, got one without; say view(result, base, target)"
         raise ValueError(msg)
     moved = transform_points(links.target, T_base_target)
-    base = points3d(links.base, name="base", marker={"size": 5, "color": BASE_COLOR, "symbol": BASE_MARKER})
-    target = points3d(moved, name="target", marker={"size": 4, "color": TARGET_COLOR, "symbol": TARGET_MARKER})
+    base = draw.points3d(
+        links.base, name="base", marker={"size": 5, "color": draw.BASE_COLOR, "symbol": draw.BASE_MARKER}
+    )
+    target = draw.points3d(
+        moved, name="target", marker={"size": 4, "color": draw.TARGET_COLOR, "symbol": draw.TARGET_MARKER}
+    )
     words = "Corresponding points" if result.is_accepted else "Best candidate, NOT accepted"
-    return described(
-        new_scene(words, [base, target], "frame of the base"), f"{len(moved)} points of base and target in space."
+    return draw.described(
+        draw.new_scene(words, [base, target], "frame of the base"),
+        f"{len(moved)} points of base and target in space.",
     )
 
 
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
     """Both surveys in one picture: as recorded, and with the target in the base's frame."""
     links = result.links
-    off_base, off_target = origins_of(base.positions, target.positions)
+    off_base, off_target = draw.origins_of(base.positions, target.positions)
     if np.array_equal(off_base, off_target):
         off_base = off_target = np.zeros(3)  # the scene takes off what all have in common
-    before = new_scene(
+    before = draw.new_scene(
         "Before: as recorded",
         _traces(
             base,
@@ -100,19 +81,19 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
         f"each survey in its own frame, overlaid{_taken_off(off_base, off_target)}; {drawn_words(base, target)}",
     )
     both = f"Base {base.name} ({len(base)} samples, circles) and target {target.name} ({len(target)}, diamonds)"
-    described(before, f"{both} in space, each in its own frame, with lines between matching keypoints.")
+    draw.described(before, f"{both} in space, each in its own frame, with lines between matching keypoints.")
     T_base_target = shown_pose(result)
     if T_base_target is None:
         return [before]
     moved = transform_points(links.target, T_base_target)
     p_base = transform_points(target.positions, T_base_target)
     title = "After: target in the base frame" if result.is_accepted else "Best candidate, NOT accepted"
-    after = new_scene(
+    after = draw.new_scene(
         title, _traces(base, base.positions, target, p_base, links.base, moved), f"frame of {base.name}"
     )
     apart = np.linalg.norm(links.base - moved, axis=1)
     gap = f"; matching keypoints are {np.median(apart):.3g} m apart in the median" if len(apart) else ""
-    described(after, f"{both} in the frame of the base{gap}.")
+    draw.described(after, f"{both} in the frame of the base{gap}.")
     return [before, after]
 
 
@@ -126,18 +107,18 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     cut = cut_through(p_base)
     field, is_known = field_on(cut, base_map)
     if T_base_target is None:
-        limits = common_limits(magnitude_ut(base_map.survey.field))
+        limits = common_limits(draw.magnitude_ut(base_map.survey.field))
         return [magnitude_slice("|B| of the base map", cut, field, is_known, limits)]
     brought, is_known_too = field_on(cut, target_map, T_base_target)
     # From the samples: between and beyond them a map may swing farther than anything that was measured.
-    limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
+    limits = common_limits(*(draw.magnitude_ut(m.survey.field) for m in (base_map, target_map)))
     both = is_known & is_known_too
-    apart = UT_PER_TESLA * np.linalg.norm(field - brought, axis=1)
+    apart = draw.UT_PER_TESLA * np.linalg.norm(field - brought, axis=1)
     return [
         magnitude_slice("|B| of the base map", cut, field, is_known, limits),
         magnitude_slice("|B| of the target map", cut, brought, is_known_too, limits, note=", base frame"),
         slice_figure(
-            "Difference of the vectors", cut, apart, both, (0.0, common_limits(apart[both])[1]), SPREAD_SCALE
+            "Difference of the vectors", cut, apart, both, (0.0, common_limits(apart[both])[1]), draw.SPREAD_SCALE
         ),
     ]
 
@@ -147,8 +128,8 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     n_links = len(result.links.base)
     if not n_links:
         return None
-    rows = thinned(n_links, MAX_LINKS_ACROSS)
-    limits = common_limits(*(magnitude_ut(m.survey.field) for m in (base_map, target_map)))
+    rows = draw.thinned(n_links, MAX_LINKS_ACROSS)
+    limits = common_limits(*(draw.magnitude_ut(m.survey.field) for m in (base_map, target_map)))
     cuts = [cut_through(m.survey.positions) for m in (base_map, target_map)]
     ends = [cut.along(p[rows]) for cut, p in zip(cuts, (result.links.base, result.links.target), strict=True)]
     width = max(np.ptp(cuts[0].first), np.ptp(cuts[1].first))
@@ -160,23 +141,25 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
         field, is_known = field_on(cut, field_map)
         moved = replace(cut, first=cut.first + offset[0], second=cut.second + offset[1])
         hover = "%{z:.2f} uT<extra></extra>"
-        traces.append(heatmap(moved, magnitude_ut(field), is_known, limits, FIELD_SCALE, hovertemplate=hover))
+        traces.append(
+            heatmap(moved, draw.magnitude_ut(field), is_known, limits, draw.FIELD_SCALE, hovertemplate=hover)
+        )
     ends[1] = ends[1] + shift
     traces += [
         *_links_on_plane(*ends),
         hollow_marks(ends[0], "keypoints of base", "square"),
-        hollow_marks(ends[1], "keypoints of target", TARGET_MARKER),
+        hollow_marks(ends[1], "keypoints of target", draw.TARGET_MARKER),
     ]
     planes = f"base cut at {cuts[0].words}, target at {cuts[1].words}, each in its own frame"
-    figure = new_plane(
+    figure = draw.new_plane(
         f"Matching keypoints<br><sub>left: base, right: target; {planes}; "
         f"{len(rows)} of {n_links} links drawn</sub>",
         traces, "", "",
     )  # fmt: skip
     figure.update_xaxes(visible=False)
     figure.update_yaxes(visible=False)
-    figure.update_layout(plot_bgcolor=PAPER)
-    return described(
+    figure.update_layout(plot_bgcolor=draw.PAPER)
+    return draw.described(
         figure,
         f"Slices of the base map (left) and the target map (right), each in its own frame, with {len(rows)} of "
         f"{n_links} lines from keypoints of the base (squares) to those of the target (diamonds).",
@@ -189,17 +172,21 @@ def time_figure(result: RegistrationResult) -> "Figure | None":
     if not stages:
         return None
     total = result.seconds.get("total", sum(stages.values()))
-    names = [label(name) for name in stages]
-    bar = require_plotly().Bar(
-        x=list(stages.values()), y=names, orientation="h", marker={"color": BASE_COLOR}, cliponaxis=False,
+    names = [draw.label(name) for name in stages]
+    bar = draw.require_plotly().Bar(
+        x=list(stages.values()), y=names, orientation="h", marker={"color": draw.BASE_COLOR}, cliponaxis=False,
         text=[f"{s:.2f} s" for s in stages.values()], textposition="outside", hoverinfo="skip", showlegend=False,
     )  # fmt: skip
-    figure = new_plane(f"Time per stage<br><sub>{total:.2f} s in total</sub>", [bar], "time (s)", "", is_equal=False)
+    figure = draw.new_plane(
+        f"Time per stage<br><sub>{total:.2f} s in total</sub>", [bar], "time (s)", "", is_equal=False
+    )
     figure.update_yaxes(autorange="reversed")
     figure.update_xaxes(range=[0, 1.25 * max(stages.values())])
     figure.update_layout(height=110 + 34 * len(stages))
     longest = max(stages, key=lambda name: stages[name])
-    return described(figure, f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s.")
+    return draw.described(
+        figure, f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s."
+    )
 
 
 def drawn_words(*surveys: Survey) -> str:
@@ -214,10 +201,10 @@ def drawn_words(*surveys: Survey) -> str:
 
 def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
     """Dark dots on a white line, which show on any colour."""
-    halo, line = {"color": PAPER, "width": 2.5}, {"color": INK, "width": 1.5, "dash": "dot"}
+    halo, line = {"color": draw.PAPER, "width": 2.5}, {"color": draw.INK, "width": 1.5, "dash": "dot"}
     return [
-        flat(between(starts, ends), "lines", line=halo, hoverinfo="skip", showlegend=False),
-        flat(between(starts, ends), "lines", line=line, hoverinfo="skip", name="links"),
+        draw.flat(draw.between(starts, ends), "lines", line=halo, hoverinfo="skip", showlegend=False),
+        draw.flat(draw.between(starts, ends), "lines", line=line, hoverinfo="skip", name="links"),
     ]
 
 
@@ -234,32 +221,35 @@ def _traces(
 ) -> list[Any]:
     """Both surveys with their links."""
     traces = [
-        _samples(p_base, base, f"base: {base.name}", BASE_COLOR, BASE_MARKER),
-        _samples(p_target, target, f"target: {target.name}", TARGET_COLOR, TARGET_MARKER),
+        _samples(p_base, base, f"base: {base.name}", draw.BASE_COLOR, draw.BASE_MARKER),
+        _samples(p_target, target, f"target: {target.name}", draw.TARGET_COLOR, draw.TARGET_MARKER),
     ]
     if not len(link_base):
         return traces
-    rows = thinned(len(link_base), MAX_LINKS)
+    rows = draw.thinned(len(link_base), MAX_LINKS)
     ends = [
-        ("keypoints of base", link_base, BASE_COLOR, "square-open", 7),
-        ("keypoints of target", link_target, TARGET_COLOR, "diamond-open", 7),
+        ("keypoints of base", link_base, draw.BASE_COLOR, "square-open", 7),
+        ("keypoints of target", link_target, draw.TARGET_COLOR, "diamond-open", 7),
     ]
     traces += [
-        points3d(
+        draw.points3d(
             p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name", **ASKED_FOR
         )
         for name, p, color, symbol, size in ends
     ]
-    line = {"color": LINK_COLOR, "width": 4}
-    return [*traces, curves3d(between(link_base[rows], link_target[rows]), name="links", line=line, **ASKED_FOR)]
+    line = {"color": draw.LINK_COLOR, "width": 4}
+    return [
+        *traces,
+        draw.curves3d(draw.between(link_base[rows], link_target[rows]), name="links", line=line, **ASKED_FOR),
+    ]
 
 
 def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> Any:
-    rows = thinned(len(survey), MAX_SCENE_SAMPLES)
-    return points3d(
+    rows = draw.thinned(len(survey), MAX_SCENE_SAMPLES)
+    return draw.points3d(
         p[rows],
-        name=label(name),
+        name=draw.label(name),
         marker={"size": 2 if len(rows) < 1000 else 1.5, "color": color, "symbol": symbol, "opacity": 0.75},
-        customdata=for_display(magnitude_ut(survey.field[rows])),
+        customdata=draw.for_display(draw.magnitude_ut(survey.field[rows])),
         hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT",
     )

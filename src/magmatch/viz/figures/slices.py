@@ -10,20 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
-from magmatch.viz.figures.plotting import (
-    FIELD_SCALE,
-    INK,
-    PAPER,
-    axis_title,
-    colorbar,
-    described,
-    flat,
-    for_display,
-    magnitude_ut,
-    new_plane,
-    origin_of,
-    require_plotly,
-)
+from magmatch.viz.figures import draw
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
@@ -56,7 +43,7 @@ class Cut:
 
     def figure(self, title: str, traces: list[Any]) -> "Figure":
         """Put traces into a figure of the plane."""
-        return new_plane(title, traces, *(axis_title(axis, self.origin) for axis in self.axes[:2]))
+        return draw.new_plane(title, traces, *(draw.axis_title(axis, self.origin) for axis in self.axes[:2]))
 
 
 def cut_through(p: Points) -> Cut:
@@ -77,7 +64,7 @@ def cut_normal_to(p: Points, normal: int, height: float | None = None) -> Cut:
     height = float(np.median(p[:, normal])) if height is None else height
     points = np.empty((len(second), len(first), 3))
     points[..., a], points[..., b], points[..., normal] = first[None, :], second[:, None], height
-    origin = origin_of(p)
+    origin = draw.origin_of(p)
     return Cut(points.reshape(-1, 3), first - origin[a], second - origin[b], (a, b, normal), height, origin)
 
 
@@ -96,11 +83,11 @@ def heatmap(cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, floa
         "zmin": limits[0],
         "zmax": limits[1],
         "colorscale": scale,
-        "colorbar": colorbar("uT"),
+        "colorbar": draw.colorbar("uT"),
         "hovertemplate": f"{names[0]} %{{x:.2f}} m, {names[1]} %{{y:.2f}} m<br>%{{z:.2f}} uT<extra></extra>",
     } | style
-    x, y, z = for_display(cut.first), for_display(cut.second), for_display(image)
-    return require_plotly().Heatmap(x=x, y=y, z=z, **style)
+    x, y, z = draw.for_display(cut.first), draw.for_display(cut.second), draw.for_display(image)
+    return draw.require_plotly().Heatmap(x=x, y=y, z=z, **style)
 
 
 def slice_figure(
@@ -121,20 +108,22 @@ def slice_figure(
     spread = (
         f"from {known.min():.3g} to {known.max():.3g} uT, median {np.median(known):.3g}" if len(known) else "none"
     )
-    return described(figure, f"{title}, cut at {cut.words}: {spread}; {is_known.mean():.0%} of the cut is known.")
+    return draw.described(
+        figure, f"{title}, cut at {cut.words}: {spread}; {is_known.mean():.0%} of the cut is known."
+    )
 
 
 def magnitude_slice(
     title: str, cut: Cut, field: Vectors, is_known: Mask, limits: tuple[float, float], marks: Any = (), note: str = ""
 ) -> "Figure":
     """Draw the field's magnitude over a cut."""
-    return slice_figure(title, cut, magnitude_ut(field), is_known, limits, FIELD_SCALE, marks, note)
+    return slice_figure(title, cut, draw.magnitude_ut(field), is_known, limits, draw.FIELD_SCALE, marks, note)
 
 
 def hollow_marks(p: np.ndarray, name: str, symbol: str) -> Any:
     """Marks at (n, 2) places: white with a dark rim, so that they show on any colour."""
-    marker = {"size": 8, "symbol": symbol, "color": PAPER, "line": {"color": INK, "width": 1.5}}
-    return flat(p, name=name, marker=marker, hoverinfo="name+x+y")
+    marker = {"size": 8, "symbol": symbol, "color": draw.PAPER, "line": {"color": draw.INK, "width": 1.5}}
+    return draw.flat(p, name=name, marker=marker, hoverinfo="name+x+y")
 
 
 def common_limits(*parts: Scalars) -> tuple[float, float]:

@@ -6,23 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.viz.figures.plotting import (
-    BASE_COLOR,
-    BASE_MARKER,
-    INK,
-    LINK_COLOR,
-    TARGET_COLOR,
-    UT_PER_TESLA,
-    coloured_by_field,
-    described,
-    flat,
-    label,
-    magnitude_ut,
-    new_plane,
-    new_scene,
-    points3d,
-    thinned,
-)
+from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import common_limits
 
 if TYPE_CHECKING:
@@ -31,21 +15,23 @@ if TYPE_CHECKING:
 
 def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
     """Samples in space, coloured by field magnitude."""
-    rows = thinned(len(survey))
-    magnitude = magnitude_ut(survey.field[rows])
+    rows = draw.thinned(len(survey))
+    magnitude = draw.magnitude_ut(survey.field[rows])
     low, high = common_limits(magnitude)
-    marker = {"size": 3 if len(rows) < 1000 else 2, "symbol": BASE_MARKER} | coloured_by_field(magnitude, (low, high))
+    marker = {"size": 3 if len(rows) < 1000 else 2, "symbol": draw.BASE_MARKER} | draw.coloured_by_field(
+        magnitude, (low, high)
+    )
     hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{marker.color:.2f} uT<extra></extra>"
-    traces = [points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)]
+    traces = [draw.points3d(survey.positions[rows], marker=marker, hovertemplate=hover, showlegend=False)]
     if left_out is not None and len(left_out):
-        cross = {"symbol": "x", "size": 4, "color": TARGET_COLOR}
-        traces.append(points3d(left_out.positions, name="left out", marker=cross, showlegend=True))
+        cross = {"symbol": "x", "size": 4, "color": draw.TARGET_COLOR}
+        traces.append(draw.points3d(left_out.positions, name="left out", marker=cross, showlegend=True))
     shown = "" if len(rows) == len(survey) else f" ({len(rows)} drawn)"
-    figure = new_scene(
-        f"{label(survey.name)}: {len(survey)} samples{shown}", traces, f"frame '{survey.frame}', metres"
+    figure = draw.new_scene(
+        f"{draw.label(survey.name)}: {len(survey)} samples{shown}", traces, f"frame '{survey.frame}', metres"
     )
     extent = " by ".join(f"{side:.3g}" for side in np.ptp(survey.positions, axis=0))
-    return described(
+    return draw.described(
         figure,
         f"{len(survey)} samples of {survey.name} in space, over {extent} m, coloured by field magnitude: most lie "
         f"between {low:.3g} and {high:.3g} uT.",
@@ -54,18 +40,27 @@ def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
 
 def profile_figure(survey: Survey) -> "Figure":
     """Field components along the survey: over time, or over sample number where there is none."""
-    rows = thinned(len(survey), 3000)
+    rows = draw.thinned(len(survey), 3000)
     along = rows if survey.times is None else survey.times[rows] - survey.times[0]
-    field = UT_PER_TESLA * survey.field[rows]
+    field = draw.UT_PER_TESLA * survey.field[rows]
     drawn = [*zip(("bx", "by", "bz"), field.T, strict=True), ("|B|", np.linalg.norm(field, axis=1))]
-    styles = ((BASE_COLOR, "solid"), (TARGET_COLOR, "dash"), (LINK_COLOR, "dot"), (INK, "dashdot"))
+    styles = (
+        (draw.BASE_COLOR, "solid"),
+        (draw.TARGET_COLOR, "dash"),
+        (draw.LINK_COLOR, "dot"),
+        (draw.INK, "dashdot"),
+    )
     traces = [
-        flat(np.column_stack([along, values]), "lines", name=name, line={"color": color, "dash": dash})
+        draw.flat(np.column_stack([along, values]), "lines", name=name, line={"color": color, "dash": dash})
         for (name, values), (color, dash) in zip(drawn, styles, strict=True)
     ]
     x_title = "sample" if survey.times is None else "time since the first sample (s)"
-    figure = new_plane(
-        f"{label(survey.name)}: field along the survey", traces, x_title, "field, survey frame (uT)", is_equal=False
+    figure = draw.new_plane(
+        f"{draw.label(survey.name)}: field along the survey",
+        traces,
+        x_title,
+        "field, survey frame (uT)",
+        is_equal=False,
     )
     spans = ", ".join(f"{name} from {values.min():.3g} to {values.max():.3g}" for name, values in drawn)
-    return described(figure, f"Field of {survey.name} along the survey, uT: {spans}.")
+    return draw.described(figure, f"Field of {survey.name} along the survey, uT: {spans}.")

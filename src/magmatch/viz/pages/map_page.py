@@ -12,8 +12,15 @@ from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.map import FieldMap
 from magmatch.number_text import told
-from magmatch.viz.figures.coverage import Coverage, cover_and_spread, left_out
-from magmatch.viz.figures.map_figures import comparison_figure, coverage_figure, field_figures, spread_figure
+from magmatch.viz.figures.map_figures import (
+    Coverage,
+    comparison_figure,
+    cover_and_spread,
+    coverage_figure,
+    field_figures,
+    left_out,
+    spread_figure,
+)
 from magmatch.viz.figures.slices import cut_through
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages.page import (

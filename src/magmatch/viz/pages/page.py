@@ -22,7 +22,7 @@ import yaml
 
 from magmatch.atomic import atomic_write
 from magmatch.glossary import terms
-from magmatch.viz.figures.plotting import DARK, require_plotly
+from magmatch.viz.figures.draw import DARK, require_plotly
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure

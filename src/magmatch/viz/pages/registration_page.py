@@ -9,7 +9,7 @@ from magmatch.field.map import FieldMap
 from magmatch.published.config import PublishedConfig
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
-from magmatch.viz.figures.agreement_figures import agreement_figures, along_figure
+from magmatch.viz.figures.agreement_figures import LARGEST_ORDINARY, agreement_figures, along_figure, compare
 from magmatch.viz.figures.published_figures import published_figures
 from magmatch.viz.figures.registration_figures import (
     match_figure,
@@ -18,7 +18,6 @@ from magmatch.viz.figures.registration_figures import (
     slice_figures,
     time_figure,
 )
-from magmatch.viz.figures.residuals import LARGEST_ORDINARY, compare
 from magmatch.viz.pages.page import (
     Section,
     bullets,

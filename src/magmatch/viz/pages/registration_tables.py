@@ -12,10 +12,19 @@ from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult, Sensor
 from magmatch.registration.sensor_calibration import in_words as calibration_words
 from magmatch.typing import Matrix
-from magmatch.viz.figures.certainty_figures import ellipsoid_figure, free_figure, poses_figure
-from magmatch.viz.figures.ellipsoids import LEVEL, Ellipsoid, angle_text, direction_words, ellipsoids_at, length_text
+from magmatch.viz.figures.agreement_figures import compare
+from magmatch.viz.figures.certainty_figures import (
+    LEVEL,
+    Ellipsoid,
+    angle_text,
+    direction_words,
+    ellipsoid_figure,
+    ellipsoids_at,
+    free_figure,
+    length_text,
+    poses_figure,
+)
 from magmatch.viz.figures.registration_figures import shown_pose
-from magmatch.viz.figures.residuals import compare
 from magmatch.viz.pages.page import Section, again, details, figure_row, note, paragraph, table, with_terms
 from magmatch.viz.verdict import percent
 

@@ -3,23 +3,24 @@
 
 from math import degrees
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.stats import chi2
 
+from magmatch.geometry import transform_points
 from magmatch.number_text import told
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.session import Session
-from magmatch.viz.figures.session_figures import session_figures, weakness_figure
-from magmatch.viz.pages.page import (
-    Section,
-    again,
-    bullets,
-    figure_row,
-    note,
-    table,
-    verdict,
-    write_page,
-)
+from magmatch.typing import Points
+from magmatch.viz.figures import draw
+from magmatch.viz.figures.certainty_figures import LEVEL
+from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, magnitude_slice
+from magmatch.viz.pages import page
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
 
 # Most closures listed one by one, the least sure first.
 MAX_LISTED = 40
@@ -46,18 +47,18 @@ def write_session_report(path: str | Path, session: Session, result: SlamResult,
     sections = [_answer(result)]
     for k, logs in enumerate(session.components):
         names = ", ".join(session.names[log] for log in logs)
-        sections.append(Section(f"Frame {k}: {names}", [figure_row(session_figures(session, k))]))
-    sections.append(Section("Where the graph is weak", [figure_row([weakness_figure(session)])]))
+        sections.append(page.Section(f"Frame {k}: {names}", [page.figure_row(session_figures(session, k))]))
+    sections.append(page.Section("Where the graph is weak", [page.figure_row([weakness_figure(session)])]))
     if result.closures:
         sections.append(_closures(result))
     if result.anchors:
         sections.append(_anchors(result))
     words = f"magmatch {result.version}. Same inputs and settings give the same result. Save them as settings.yaml."
-    sections.append(again("Run it again", words, command, result.config))
-    write_page(path, "magmatch: " + ", ".join(session.names), sections)
+    sections.append(page.again("Run it again", words, command, result.config))
+    page.write_page(path, "magmatch: " + ", ".join(session.names), sections)
 
 
-def _answer(result: SlamResult) -> Section:
+def _answer(result: SlamResult) -> page.Section:
     headline = result.status.replace("_", " ").capitalize()
     rows = [
         [
@@ -70,18 +71,18 @@ def _answer(result: SlamResult) -> Section:
         ]
         for log in result.logs
     ]
-    return Section(
+    return page.Section(
         "",
         [
-            verdict(headline, result.reason, is_good=result.is_connected),
+            page.verdict(headline, result.reason, is_good=result.is_connected),
             "<h2 id='next'>What to do next</h2>",
-            bullets(NEXT_STEPS[result.status]),
-            table(rows, ["log", "frame", "path", "closures", "moved (rms)", "end known to"]),
+            page.bullets(NEXT_STEPS[result.status]),
+            page.table(rows, ["log", "frame", "path", "closures", "moved (rms)", "end known to"]),
         ],
     )
 
 
-def _closures(result: SlamResult) -> Section:
+def _closures(result: SlamResult) -> page.Section:
     """Table of the closures, the least certain first."""
     listed = sorted(result.closures, key=lambda c: (c.weight, c.probability))[:MAX_LISTED]
     rows = [
@@ -94,10 +95,12 @@ def _closures(result: SlamResult) -> Section:
         for c in listed
     ]
     words = f"{len(listed)} of {len(result.closures)}, the least sure first."
-    return Section("Closures", [note(words), table(rows, ["at", "and at", "probability", "weight in the graph"])])
+    return page.Section(
+        "Closures", [page.note(words), page.table(rows, ["at", "and at", "probability", "weight in the graph"])]
+    )
 
 
-def _anchors(result: SlamResult) -> Section:
+def _anchors(result: SlamResult) -> page.Section:
     """Farthest from where they should be first, in standard deviations."""
     off = [float(np.linalg.norm(a.off)) for a in result.anchors]
     order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[:MAX_LISTED]
@@ -108,4 +111,123 @@ def _anchors(result: SlamResult) -> Section:
     words = (
         "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log."
     )
-    return Section("Fixed points", [note(words), table(rows, ["log", "at", "off by", "stated sd"])])
+    return page.Section("Fixed points", [page.note(words), page.table(rows, ["log", "at", "off by", "stated sd"])])
+
+
+# Nodes along a log whose standard deviation is drawn.
+MAX_NODES = 60
+# Ellipses drawn in a picture.
+MAX_ELLIPSES = 40
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+
+
+def session_figures(session: Session, component: int) -> "list[Figure]":
+    """Paths of a component coloured by the field before, and over its map with closures after."""
+    logs = session.components[component]
+    after = [session.trajectories[k].positions for k in logs]
+    before = [transform_points(session.given[k].positions, session.T_map_log(k)) for k in logs]
+    field_map = session.map(component)
+    cut = cut_through(np.concatenate(after))
+    limits = common_limits(draw.magnitude_ut(field_map.survey.field))
+    marks = [_line(cut, p, session.names[k], n) for n, (k, p) in enumerate(zip(logs, after, strict=True))]
+    marks += _drawn_closures(session, cut, set(logs))
+    marks += _ellipses(session, cut, logs)
+    marks += _fixed_points(session, cut, logs)
+    mapped = magnitude_slice(
+        "After: |B| of the map",
+        cut,
+        *field_on(cut, field_map),
+        limits,
+        marks,
+        "; lines: corrected paths, closures (dashed: rejected); ellipses: 95 % of where a node may be",
+    )
+    return [_before(session, cut, logs, before, limits), mapped]
+
+
+def weakness_figure(session: Session) -> "Figure":
+    """Standard deviation of the position along each log, relative to the first node of its frame."""
+    traces, worst = [], 0.0
+    for k, path in enumerate(session.paths):
+        nodes = path.nodes[draw.thinned(len(path.windows), MAX_NODES)]
+        sd = np.array([place for place, _ in session.standard_deviations(nodes)])
+        walked = path.walked[path.middles[nodes - path.first_node]]
+        worst = max(worst, float(sd.max()))
+        line = {
+            "color": (draw.BASE_COLOR, draw.TARGET_COLOR)[k % 2],
+            "width": 2,
+            "dash": DASHES[k // 2 % len(DASHES)],
+        }
+        name, marker = draw.label(session.names[k]), {"size": 5}
+        traces.append(draw.flat(np.column_stack([walked, sd]), "lines+markers", line=line, marker=marker, name=name))
+    figure = draw.new_plane(
+        "Where the graph is weak<br><sub>standard deviation of the place against the frame's first node</sub>",
+        traces, "path walked (m)", "m", is_equal=False,
+    )  # fmt: skip
+    figure.update_yaxes(rangemode="tozero")
+    return draw.described(figure, f"Standard deviation of the place along each log, at most {worst:.2f} m.")
+
+
+def _before(
+    session: Session, cut: Cut, logs: list[int], before: list[Points], limits: tuple[float, float]
+) -> "Figure":
+    traces = []
+    for k, p in zip(logs, before, strict=True):
+        rows = draw.thinned(len(p))
+        colors = draw.coloured_by_field(draw.magnitude_ut(session.given[k].field[rows]), limits)
+        marker = {"size": 4, "showscale": k == logs[0]} | colors
+        traces.append(draw.flat(cut.along(p[rows]), marker=marker, name=draw.label(session.names[k])))
+    as_given = "as surveyed" if session.is_rigid else "as odometry has them"
+    figure = cut.figure(f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces)
+    figure.update_layout(showlegend=False)
+    return draw.described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
+
+
+def _line(cut: Cut, p: Points, name: str, n: int) -> Any:
+    style = {"color": draw.INK, "width": 1.2, "dash": DASHES[n % len(DASHES)]}
+    return draw.flat(cut.along(p[draw.thinned(len(p))]), "lines", line=style, name=draw.label(name), hoverinfo="name")
+
+
+def _drawn_closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
+    """Lines between the nodes that closures tie."""
+    graph, found = session.graph, []
+    for kept, color, dash in ((True, draw.TARGET_COLOR, "solid"), (False, draw.LINK_COLOR, "dash")):
+        pairs = [
+            (c.first, c.second) for c in graph.closures if c.is_kept == kept and int(graph.log[c.second]) in logs
+        ]
+        if not pairs:
+            continue
+        i, j = np.array(pairs).T
+        rows = cut.along(draw.between(graph.p[i], graph.p[j]))
+        name = "closure" if kept else "rejected closure"
+        style = {"color": color, "width": 2.5, "dash": dash}
+        marker = {"size": 6, "color": color}
+        found.append(draw.flat(rows, "lines+markers", line=style, marker=marker, name=name, hoverinfo="name"))
+    return found
+
+
+def _ellipses(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
+    """Draw the places in which nodes along the logs may be, in the plane of the cut: 95 %."""
+    axes = list(cut.axes[:2])
+    nodes = np.concatenate([session.paths[k].nodes for k in logs])
+    nodes = nodes[draw.thinned(len(nodes), MAX_ELLIPSES)]
+    angle = np.linspace(0, 2 * np.pi, 33)
+    circle = np.sqrt(chi2.ppf(LEVEL, 2)) * np.vstack([np.cos(angle), np.sin(angle)])
+    rows = []
+    for node, C in zip(nodes, session.covariances_of_place(nodes), strict=True):
+        values, directions = np.linalg.eigh(C[np.ix_(axes, axes)])
+        rows += [(directions * np.sqrt(values.clip(0))) @ circle + cut.along(session.graph.p[node][None]).T]
+        rows += [np.full((2, 1), np.nan)]
+    name, line = "95 % of where a node may be", {"color": draw.BASE_COLOR, "width": 1}
+    return [draw.flat(np.concatenate(rows, axis=1).T, "lines", line=line, name=name, hoverinfo="name")]
+
+
+def _fixed_points(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
+    """Surveyors' points, and lines to where the logs are now."""
+    fixed, graph = session.graph.fixed, session.graph
+    if fixed is None or not (rows := np.isin(graph.log[fixed.one], logs)).any():
+        return []
+    at, off = fixed.position[rows], graph.off_fixed()[rows]
+    marker = {"size": [9, 0, 0] * len(at), "color": draw.INK, "symbol": "diamond"}
+    style = {"color": draw.INK, "width": 2}
+    ends = cut.along(draw.between(at, at + off))
+    return [draw.flat(ends, "lines+markers", line=style, marker=marker, name="fixed point")]

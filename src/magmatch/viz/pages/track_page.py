@@ -2,11 +2,20 @@
 """The report of `localize`: the verdict, the path over the map, and where it was lost and why."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from magmatch.geometry import path_walked
 from magmatch.localization.result import LocalizationResult, LocalizationStatus
 from magmatch.localization.track import Track
-from magmatch.viz.figures.track_figures import path_figure, sd_figure, status_figure
-from magmatch.viz.pages.page import Section, again, bullets, figure_row, table, verdict, write_page
+from magmatch.viz.figures import draw
+from magmatch.viz.figures.slices import common_limits, cut_through, field_on, magnitude_slice
+from magmatch.viz.pages import page
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
+
 
 # Most parts listed one by one, the longest.
 MAX_LISTED = 40
@@ -40,7 +49,7 @@ def verdict_on(result: LocalizationResult) -> str:
     ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
     ended = "Pose too uncertain at the end" if result.is_place_known else ended
     share = f"; {result.share_in_words}" if result.is_localized else ""
-    return verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
+    return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
 
 
 def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
@@ -48,11 +57,12 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     answer = [
         verdict_on(result),
         "<h2 id='next'>What to do next</h2>",
-        bullets(next_steps(result)),
+        page.bullets(next_steps(result)),
     ]
-    sections = [Section("", answer)]
+    sections = [page.Section("", answer)]
     sections += [
-        Section(f"In {m.survey.name}", [figure_row([path_figure(track, k)])]) for k, m in enumerate(track.maps)
+        page.Section(f"In {m.survey.name}", [page.figure_row([path_figure(track, k)])])
+        for k, m in enumerate(track.maps)
     ]
     longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[:MAX_LISTED]
     rows = [
@@ -61,7 +71,60 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     ]
     columns = ["from (s)", "for", "phase", "map", "why"]
     sections.append(
-        Section("Along the log", [figure_row([status_figure(track), sd_figure(result)]), table(rows, columns)])
+        page.Section(
+            "Along the log", [page.figure_row([status_figure(track), sd_figure(result)]), page.table(rows, columns)]
+        )
     )
-    sections.append(again("Run it again", "", None, result.config))
-    write_page(path, f"magmatch: {track.log.name}", sections)
+    sections.append(page.again("Run it again", "", None, result.config))
+    page.write_page(path, f"magmatch: {track.log.name}", sections)
+
+
+def path_figure(track: Track, k: int) -> "Figure":
+    """The poses stated in one of the maps, over its |B|."""
+    field_map = track.maps[k]
+    stated = [e for e in track.estimates if e.is_stated and (len(track.maps) == 1 or e.map == _name(track, k))]
+    points = np.array([e.matrix[:3, 3] for e in stated if e.matrix is not None]).reshape(-1, 3)
+    sd = np.array([np.sqrt(np.linalg.eigvalsh(e.covariance[3:, 3:])[-1]) for e in stated if e.covariance is not None])
+    cut = cut_through(np.concatenate([field_map.survey.positions, points]))
+    marker = {
+        "size": 4,
+        "color": draw.for_display(sd),
+        "colorscale": "Bluered",
+        # Above the picture; the field's is below.
+        "colorbar": draw.colorbar("m")
+        | {"len": 0.6, "x": 0.3, "yref": "paper", "y": 1.0, "thickness": 8, "nticks": 3, "tickangle": 0},
+    }
+    path = draw.flat(cut.along(points), marker=marker, name="path")
+    limits = common_limits(draw.magnitude_ut(field_map.survey.field))
+    return magnitude_slice(
+        "|B| of the map", cut, *field_on(cut, field_map), limits, [path], "; points: stated poses, coloured by sd"
+    )
+
+
+def status_figure(track: Track) -> "Figure":
+    """Probability of the best place along the path, and where a pose was accurate enough to be stated."""
+    walked = path_walked(track.log.positions)
+    shown, traces = np.column_stack([walked, [e.probability for e in track.estimates]]), []
+    for phase in dict.fromkeys(e.phase for e in track.estimates):
+        rows = np.array([e.phase == phase for e in track.estimates])
+        traces.append(draw.flat(shown[rows], marker={"size": 4}, name=phase))
+    figure = draw.new_plane("How sure the place was", traces, "path walked (m)", "probability", is_equal=False)
+    figure.update_yaxes(range=[0, 1.02])
+    return draw.described(
+        figure, f"Probability that the best place is right; a pose for {track.is_stated.mean():.0%} of the samples."
+    )
+
+
+def sd_figure(result: LocalizationResult) -> "Figure":
+    """How accurate the stated poses are, along the log."""
+    t, shift, _ = np.array(result.sd).reshape(-1, 3).T
+    trace = draw.flat(np.column_stack([t, shift]), marker={"size": 4}, name="sd")
+    figure = draw.new_plane(
+        "How accurate the pose was", [trace], "t (s)", "sd in the worst direction (m)", is_equal=False
+    )
+    return draw.described(figure, f"Standard deviation of the stated poses over time: {result.share_in_words}.")
+
+
+def _name(track: Track, k: int) -> str:
+    names = dict.fromkeys(e.map for e in track.estimates if e.map is not None)
+    return sorted(names)[k]

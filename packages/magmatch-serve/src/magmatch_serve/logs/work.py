@@ -31,7 +31,7 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.atlas import Atlas
 from magmatch.registration.register import register
 from magmatch.settings import of_vertical
-from magmatch.viz.figures.plotting import magnitude_ut
+from magmatch.viz.figures.draw import magnitude_ut
 from magmatch.viz.figures.slices import cut_normal_to, field_on
 from magmatch_serve.catalogue import Listing
 from magmatch_serve.config import ServeConfig
