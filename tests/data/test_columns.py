@@ -98,6 +98,12 @@ def test_other_columns_without_header_stay_beside_the_samples(tmp_path):
     np.testing.assert_array_equal(channels["8"], np.arange(N))
 
 
+def test_other_columns_of_a_table_without_times_stay_beside_the_samples_row_by_row(tmp_path):
+    path = write(tmp_path / "s.csv", "x,y,z,bx,by,bz,motor", np.column_stack([ROWS[:, 1:], np.arange(N)]))
+    _, channels = read_survey_and_channels(path, SurveyFormat(field_unit="uT"))
+    np.testing.assert_array_equal(channels["motor"], np.arange(N))
+
+
 @pytest.mark.parametrize("first", ["0.0", "2026-05-01T10:00:00Z"])
 def test_a_table_without_header_says_how_to_state_numbers(first, tmp_path):
     path = write(tmp_path / "s.csv", "", [[first, *row[1:]] for row in ROWS.tolist()])

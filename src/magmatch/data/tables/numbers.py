@@ -97,14 +97,16 @@ class NumberReader:
 
     def _values(self, line: int, cells: Sequence[str]) -> list[float]:
         """Wanted numbers of a row; most are plain, and those Python reads at once."""
-        if self.decimal == "point" and not self.digits:
-            try:
-                values = [float(cells[k]) for k in self.places.values()]
-            except ValueError:
-                values = [np.nan]
-            if isfinite(sum(values)):
-                return values
-        return [self._value(line, name, cells[k]) for name, k in self.places.items()]
+        try:
+            values = [float(cells[k]) for k in self.places.values()]
+        except ValueError:
+            values = [np.nan]
+        if self.decimal != "point" or not isfinite(sum(values)):
+            return [self._value(line, name, cells[k]) for name, k in self.places.items()]
+        for k, name in enumerate(self.places if self.digits else ()):
+            if self.digits.get(name):
+                values[k] = seconds_of_text(cells[self.places[name]], self.digits[name])
+        return values
 
     def _value(self, line: int, name: str, cell: str) -> float:
         """The finite number in a cell; DataFormatError says what is there instead."""

@@ -124,7 +124,7 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
         names,
         places,
         decimal_of_cells(path, marked, tuple(places), wanted.decimal),
-        digits={name: wanted.digits[ours] for name, ours in chosen.items() if ours in wanted.digits},
+        digits={name: wanted.digits[ours] for name, ours in chosen.items() if wanted.digits.get(ours)},
         clocks={name for name in places if chosen[name] == "t" or chosen[name] in wanted.digits},
         words={name: k for k, name in enumerate(names) if name in wanted.words},
         recover=wanted.recover,
