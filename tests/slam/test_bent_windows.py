@@ -25,6 +25,13 @@ def test_logs_that_odometry_may_bend_at_will_stay_as_they_came_and_are_told_why(
     assert not session.graph.closures
 
 
+def test_an_error_of_scale_moves_points_along_what_lies_between_in_the_axes_of_the_walk(lone):
+    for window in lone.session.paths[0].windows[:4]:
+        x, moved = window.walk.positions, window.bending[:, 3:, -2]
+        still = np.argmin(np.linalg.norm(moved, axis=1))
+        np.testing.assert_allclose(moved, np.sqrt(2) * window.config.odometry.scale_sd * (x - x[still]), atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_what_it_is(lone, seed):
     """The field is not linear over so much: the shape has to be fitted for the evidence to be seen."""

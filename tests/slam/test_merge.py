@@ -68,6 +68,8 @@ def test_surveys_stay_rigid_and_keep_their_fields(session, surveys):
         moved = surveys[k].transformed(session.T_map_log(k))
         np.testing.assert_allclose(after.positions, moved.positions, atol=1e-9)
         np.testing.assert_allclose(after.field, moved.field, atol=1e-15)
+    # As a whole: none of them was bent.
+    assert max(log.moved for log in session.result().logs) < 1e-9
 
 
 def test_a_pair_is_stated_as_registration_states_it(session, surveys):
