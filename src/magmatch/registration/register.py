@@ -13,6 +13,7 @@ from magmatch._version import __version__
 from magmatch.arguments import expect_kind, expect_transform, whole_number_of
 from magmatch.data.diagnoses import warn
 from magmatch.data.fingerprint import describe_input
+from magmatch.data.survey import Survey
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
@@ -175,16 +176,21 @@ def register_keeping_maps(
     surveys = dict(zip(("base", "target")[-len(known) :], known, strict=True))
     answer = with_advice(answer, surveys, config.prior)
     is_found = has_pose or not (only or isinstance(base, Atlas))
-    # Enough to repeat the run and get the same numbers.
-    answer = replace(
+    return base_used if is_found else None, used, _stamped(answer, known, config, seed, clock)
+
+
+def _stamped(
+    answer: RegistrationResult, inputs: Sequence[Survey], config: RegistrationConfig, seed: int, clock: Clock
+) -> RegistrationResult:
+    """An answer with what is needed to repeat the run and get the same numbers."""
+    return replace(
         answer,
         seconds=clock.seconds(),
         config=config.model_dump(mode="json"),
         version=__version__,
         seed=seed,
-        inputs=tuple(describe_input(survey) for survey in known),
+        inputs=tuple(describe_input(survey) for survey in inputs),
     )
-    return base_used if is_found else None, used, answer
 
 
 def _opened(

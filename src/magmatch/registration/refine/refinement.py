@@ -111,13 +111,9 @@ def refine(
     """
     rows = some_rows(base, target, config, rng)
     lengthscale, center = common_length(base, target), target.samples.mean(axis=0)
-    if isinstance(start, RefinedPose):
-        pose = replace(start, center=center)
-    else:
-        sensor = identical_sensors(config.sensor, level)
-        sd = prior_sd(config.sensor, level, sensor.n_parameters)
-        log_prior = SENSORS_DIFFER * levels_to_try(config.sensor).index(level)
-        pose = RefinedPose(start, center, sensor, sd, np.zeros((6, 6)), (), log_prior)
+    pose = (
+        replace(start, center=center) if isinstance(start, RefinedPose) else _at(start, center, config.sensor, level)
+    )
     scale = np.concatenate([np.repeat(pose_inaccuracy(lengthscale), 3), pose.sensor_sd])
     for _ in range(config.n_steps):
         blocks = compare(base, target, pose, rows)
@@ -142,6 +138,14 @@ def refine(
             break
     known = prior.rows(pose.T_base_target, center)[0]
     return replace(pose, prior_information=known, blocks=compare(base, target, pose, rows))
+
+
+def _at(T_base_target: RigidTransform, center: Vector3, config: SensorConfig, level: int) -> RefinedPose:
+    """Give a pose before any refinement, with the sensors alike."""
+    sensor = identical_sensors(config, level)
+    sd = prior_sd(config, level, sensor.n_parameters)
+    log_prior = SENSORS_DIFFER * levels_to_try(config).index(level)
+    return RefinedPose(T_base_target, center, sensor, sd, np.zeros((6, 6)), (), log_prior)
 
 
 def step_between(before: RefinedPose, after: RefinedPose) -> np.ndarray:
