@@ -7,12 +7,12 @@ DIR holds a folder of XYZ10's logs for each floor (`magmatch datasets list` name
 that pass most often near each other, by their surveyed points. *Odometry*: rms distance of dead reckoning to all
 points of a walk after one rigid alignment, and its length over that of the line through the points. Then slam of all
 walks together, every third point left out (never the first or last of a walk), with the error there: of slam; of slam
-less what the kept points of the walk are off by in the mean (points of different walks contradict each other by
-metres along the path, where their fields agree, so the former says how far a walker was mistaken, too); of the same graph without the
-field's closures; of dead reckoning bent to the points that are kept (turned, scaled and shifted between each two of
-them); of the straight line between these. *Field*: norm and vertical component within 0.7 m of another walk, from
-that, where slam has the walks and where the same graph does without closures: this the walks' own points do not
-judge.
+less what the kept points of the walk are off by in the mean (points of walks contradict each other by metres along
+the path where their fields agree, see points_against_field.py, so the former says how far walkers were mistaken,
+too); of the same graph without the field's closures; of dead reckoning bent to the points that are kept (turned,
+scaled and shifted between each two of them); of the straight line between these. *Field*: norm and vertical component
+within 0.7 m of another walk, from that, where slam has the walks and where the same graph does without closures: the
+points do not judge this.
 """
 
 import logging
@@ -143,7 +143,7 @@ class Walk:
     def as_marked(self, other: mm.Survey) -> mm.Survey:
         """A corrected survey, moved by what the kept points are off by in the mean."""
         off = (self.places - at(self.times, other))[self.kept].mean(axis=0)
-        return replace(other, positions=other.positions + [*off, 0.0])
+        return replace(other, positions=other.positions + np.append(off, 0.0))
 
 
 def main() -> None:
