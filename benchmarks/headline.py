@@ -6,8 +6,8 @@
 Right is accepted and within tolerance, or refused where there is nothing to find. Intervals are of 95 %: a rate's is
 Wilson's; a median's the order statistics that enclose it, however errors are distributed, none where a trial has no
 pose at all. ``--check`` fails where a figure leaves the interval that README states of it. Rows stay in DIR, and are
-taken again as long as the code is the same. The saved table covers this script alone: CI takes its figures anew at each
-change, so no change of the code makes them old.
+taken again as long as the code is the same. The saved table covers this script alone: CI takes its figures anew at
+each change, so no change of the code makes them old.
 """
 
 import math
