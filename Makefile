@@ -86,7 +86,7 @@ docs: setup
 	  packages/magmatch-serve/src packages/magmatch-evaluation/src
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --clean
 
-# Runs every command of the tutorial and writes what it prints into the page.
+# Runs every command of both tutorials and writes what it prints into the pages.
 tutorial: setup
 	$(BIN)/python tests/run_tutorial.py
 

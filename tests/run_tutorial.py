@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run every block of the tutorial in an empty folder and write what it prints into the block behind it.
+"""Run every block of the tutorials in an empty folder each and write what it prints into the block behind it.
 
-Run: make tutorial
+Run: make tutorial, or python tests/run_tutorial.py PAGE.md
 """
 
 import os
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-TUTORIAL = Path(__file__).parents[1] / "docs" / "tutorial.md"
+PAGES = [Path(__file__).parents[1] / "docs" / name for name in ("tutorial.md", "floor.md")]
 # A block of commands or Python, and the output right behind it.
 BLOCK = re.compile(
     r'```(?P<language>sh|python)(?: title="(?P<title>[^"]+)")?\n(?P<code>.*?)```\n(?P<output>```text\n.*?```\n)?',
@@ -20,9 +21,16 @@ BLOCK = re.compile(
 WORKED = {0, 3}  # 3: registered, not accepted
 
 
-def main() -> None:
-    with TemporaryDirectory() as folder:
-        TUTORIAL.write_text(BLOCK.sub(lambda block: run(block, Path(folder)), TUTORIAL.read_text()))
+def main(names: Sequence[str]) -> None:
+    for page in PAGES:
+        if not names or page.name in names:
+            with TemporaryDirectory() as folder:
+                page.write_text(run_page(page.read_text(), Path(folder)))
+
+
+def run_page(text: str, folder: Path) -> str:
+    """Run the blocks of a page and give it with what they print now."""
+    return BLOCK.sub(lambda block: run(block, folder), text)
 
 
 def run(block: re.Match[str], folder: Path) -> str:
@@ -48,4 +56,4 @@ def run(block: re.Match[str], folder: Path) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -38,9 +38,9 @@ def plugin_names(plugin):
 def shell_commands(text):
     """All calls of magmatch in blocks of shell commands, as words."""
     for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
-        for line in block.splitlines():
+        for line in block.replace("\\\n", " ").splitlines():
             if line.startswith("magmatch "):
-                yield shlex.split(line, comments=True)
+                yield shlex.split(line.split(" 2>&1 |")[0], comments=True)
 
 
 def test_every_page_is_in_the_navigation_and_every_entry_is_a_page():

@@ -123,8 +123,8 @@ class DaskRunner:
 
 
 def meet(address: str) -> str:
-    """Give the address of what talks as Dask does: a client that meets another server is neither opened nor closed."""
-    from distributed.comm import connect
+    """Give the address of what talks as Dask does: a client that met another server could not be closed."""
+    from distributed.comm.core import connect
     from distributed.utils import LoopRunner, sync
 
     runner: Any = LoopRunner()

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from magmatch.errors import ConfigurationError, import_extra
+from magmatch.workers import meet
 from magmatch_serve.bodies.trackers import TRACKER
 from magmatch_serve.config import ServeConfig
 from magmatch_serve.logs.work import begin_worker
@@ -103,13 +104,13 @@ class Cluster:
         self._distributed: Any = import_extra("distributed", "a Dask cluster", "distributed")
         try:
             self._client = self._connect()
-        except (OSError, ValueError) as error:
+        except (OSError, MemoryError, ValueError) as error:
             log.debug("no cluster: %s", error)
             msg = f"{address}: expected a Dask scheduler there, found none that answers"
             raise ConfigurationError(msg) from None
 
     def _connect(self) -> Any:
-        return self._distributed.Client(self._address, timeout=CONNECT_WITHIN, set_as_default=False)
+        return self._distributed.Client(meet(self._address), timeout=CONNECT_WITHIN, set_as_default=False)
 
     async def run(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Result of a function; what is raised is the cluster's fault, as functions give their own as a result."""
@@ -136,7 +137,7 @@ class Cluster:
         loop, old = asyncio.get_running_loop(), self._client
         try:
             client = await loop.run_in_executor(None, self._connect)
-        except OSError:
+        except (OSError, MemoryError):
             raise RefusedError(503, "the cluster that works on logs does not answer", retry_after=30) from None
         # Another log may have been faster.
         self._client, left = (client, old) if self._client is old else (self._client, client)
