@@ -156,7 +156,7 @@ USAGE: dict[str, tuple[Arguments, str]] = {
         "--sensor",
     ),
     "unknown prior": (lambda g, t, o: ["map", g, "--prior", "cubic", "--out", o / "m"], "--prior"),
-    "domain upside down": (lambda g, t, o: ["map", g, "--domain", "0,0,1,1,1,0", "--out", o / "m"], "--domain"),
+    "domain without height": (lambda g, t, o: ["map", g, "--domain", "0,0,0,1,1,0", "--out", o / "m"], "--domain"),
     "unknown scenario": (lambda g, t, o: ["simulate", "moon", "--out", o / "s"], "moon"),
     "unknown dataset": (lambda g, t, o: ["datasets", "fetch", "moon"], "moon"),
     "dataset from an empty folder": (lambda g, t, o: ["datasets", "fetch", "cea", "--from", o], "cea"),
