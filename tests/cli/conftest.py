@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A small surveyed place, and the program run in this process."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,6 +32,21 @@ def run(capfd: pytest.CaptureFixture[str]) -> Run:
         code = main([str(word) for word in words])
         captured = capfd.readouterr()
         return Outcome(code, captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def refused(run: Run) -> Callable[..., str]:
+    """Run the program on what it refuses: code 2, one line with some words, a folder left empty; gives the line."""
+
+    def call(words: Sequence[object], said: str, left_empty: Path | None = None) -> str:
+        outcome = run(*words)
+        assert (outcome.code, outcome.out, outcome.err.count("\n")) == (2, "", 1), outcome
+        assert outcome.err.startswith("magmatch: ")
+        assert said in outcome.err
+        assert left_empty is None or not list(left_empty.iterdir())
+        return outcome.err
 
     return call
 

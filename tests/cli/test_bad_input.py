@@ -31,26 +31,15 @@ EMPTY_RESULT = '{"schema": "magmatch.registration/1"}'
 
 SURVEYS: dict[str, tuple[str | bytes, str]] = {
     "missing column": (with_columns("x,y,z,bx,by", "0,0,0,1e-5,1e-5"), "missing bz"),
-    "no position": (with_columns("t,bx,by,bz", "0,1e-5,1e-5,1e-5"), "missing x, y, z"),
     "text in a number": (with_row("1,2,3,abc,0,4e-5"), "line 22, column 'bx'"),
-    "empty cell": (with_row("1,2,3,,0,4e-5"), "line 22, column 'bx'"),
-    "decimal comma": (with_row('1,2,3,"2,5",0,4e-5'), "line 22, column 'bx'"),
-    "not a number": (with_row("1,2,3,nan,0,4e-5"), "line 22, column 'bx'"),
     "infinity": (with_row("1,2,inf,0,0,4e-5"), "line 22, column 'z'"),
-    "overflow": (with_row("1,2,1e999,0,0,4e-5"), "line 22, column 'z'"),
     "short row": (with_row("1,2,3,0,0"), "line 22"),
-    "long row": (with_row("1,2,3,0,0,4e-5,7"), "line 22"),
     "cut off in the middle": ("\n".join([HEADER, *good_rows()]) + "\n1,2,3,4", "line 22"),
     "empty file": ("", "empty"),
-    "white space": (" \n\n ", "white space"),
-    "comments only": ("# x,y,z\n# nothing\n", "comments"),
     "header only": (HEADER + "\n", "no samples"),
     "no header": ("\n".join(good_rows()), "line 1"),
-    "one sample": ("\n".join([HEADER, *good_rows(1)]), "found 1"),
-    "column twice": (with_columns("x,y,z,bx,by,bz,bx", "0,0,0,1e-5,1e-5,1e-5,1"), "column 'bx'"),
     "two separators": (HEADER + ";t\n" + "\n".join(good_rows()), "line 1"),
     "microtesla": (with_columns(HEADER, "0,0,0,20,0,40"), "--field-unit uT"),
-    "nanotesla": (with_columns(HEADER, "0,0,0,20000,0,40000"), "--field-unit nT"),
     "zero field": ("\n".join([HEADER, *(f"{i},0,0,0,0,0" for i in range(20))]), "zero"),
     "one point": (with_columns(HEADER, "1,2,3,2e-5,0,4e-5"), "one point"),
     "wider than any place": (
@@ -61,33 +50,15 @@ SURVEYS: dict[str, tuple[str | bytes, str]] = {
         "\n".join([HEADER + ",t", *(f"{r},{-i}" for i, r in enumerate(good_rows()))]),
         "line 3, column 't'",
     ),
-    "time stands still": ("\n".join([HEADER + ",t", *(f"{r},1" for r in good_rows())]), "line 3, column 't'"),
     "zero quaternion": (with_columns(HEADER + ",qx,qy,qz,qw", "0,0,0,1e-5,0,4e-5,0,0,0,0"), "line 2"),
     "picture": (b"\x89PNG\r\n\x1a\n" + bytes(50), "PNG"),
-    "compressed": (b"\x1f\x8b\x08" + bytes(50), "gzip"),
     "pickle": (b"\x80\x04\x95" + bytes(50), "pickle"),
-    "pickle of pandas": (b"\x80\x05\x95" + bytes(50), "pickle"),
     "table of a web page": ('<table border="1" class="dataframe"><tr></tr></table>', "web page"),
-    "latin-1 text": ("x,y,z,bx,by,bz\n# Höhe\n".encode("latin-1"), "UTF-8"),
     "NUL bytes": (with_row("1,2,3,0,0,\0").encode(), "NUL"),
     "other JSON": (json.dumps({"schema": "other/1"}), "schema"),
-    "broken JSON": ('{"schema": ', "JSON"),
     "trajectory": ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "TUM"),
-    "web page": ("<!DOCTYPE html><html></html>", "web page"),
     "broken archive": (b"PK\x03\x04" + bytes(60), "archive"),
 }
-
-
-def assert_refused(outcome, words: str, out: Path | None = None) -> None:
-    assert outcome.code == 2, outcome
-    assert outcome.out == ""
-    assert outcome.err.endswith("\n")
-    assert outcome.err.count("\n") == 1, outcome.err
-    assert outcome.err.startswith("magmatch: ")
-    assert "Traceback" not in outcome.err
-    assert words in outcome.err
-    if out is not None:
-        assert list(out.iterdir()) == []
 
 
 @pytest.fixture
@@ -105,13 +76,11 @@ def good(tmp_path):
 
 
 @pytest.mark.parametrize("case", SURVEYS)
-def test_a_bad_survey_is_refused_before_any_work(case, good, out, run, tmp_path):
+def test_a_bad_survey_is_refused_before_any_work(case, good, out, refused, tmp_path):
     content, words = SURVEYS[case]
     bad = tmp_path / "bad.csv"
     bad.write_bytes(content if isinstance(content, bytes) else content.encode())
-    outcome = run("register", good, bad, "--out", out / "r.json", "--report", out / "r.html")
-    assert_refused(outcome, words, out)
-    assert "bad.csv" in outcome.err
+    assert "bad.csv" in refused(["register", good, bad, "--out", out / "r.json"], words, out)
 
 
 def looping(path: Path) -> None:
@@ -145,19 +114,19 @@ TAKES_A_FILE: dict[str, Callable[[Path, Path, Path], list[object]]] = {
 @pytest.mark.parametrize("door", TAKES_A_FILE)
 @pytest.mark.parametrize("kind", NO_FILES)
 def test_what_is_no_file_is_refused_at_every_door_whatever_its_name(
-    kind, door, good, out, run, tmp_path, monkeypatch
+    kind, door, good, out, refused, tmp_path, monkeypatch
 ):
     monkeypatch.setattr("magmatch.data.tables.pipes.WAIT", 0.01)  # s, for somebody to write to the pipe
     bad = tmp_path / "bad.csv"
     NO_FILES[kind](bad)
-    assert_refused(run(*TAKES_A_FILE[door](good, bad, out)), "bad.csv", out)
+    refused([*TAKES_A_FILE[door](good, bad, out)], "bad.csv", out)
 
 
 @pytest.mark.parametrize("kind", ["link to itself", "links in a circle", "folder"])
-def test_no_result_is_written_where_no_file_can_be(kind, good, out, run, tmp_path):
+def test_no_result_is_written_where_no_file_can_be(kind, good, out, refused, tmp_path):
     bad = tmp_path / "bad.csv"
     NO_FILES[kind](bad)
-    assert_refused(run("convert", good, bad), "bad.csv", out)
+    refused(["convert", good, bad], "bad.csv", out)
 
 
 Arguments = Callable[[Path, Path, Path], list[object]]  # good survey, a folder for inputs, a folder for outputs
@@ -173,21 +142,13 @@ USAGE: dict[str, tuple[Arguments, str]] = {
     "term nearly spelt": (lambda g, t, o: ["glossary", "nats"], "did you mean 'nat'?"),
     "JSON without a schema": (lambda g, t, o: ["info", written(t, "truth.json", "{}")], "without a schema"),
     "unknown command": (lambda g, t, o: ["registr"], "registr"),
-    "unknown option": (lambda g, t, o: ["register", g, g, "--outt", o / "r.json"], "--outt"),
     "missing argument": (lambda g, t, o: ["register", g], "TARGET"),
     "missing option": (lambda g, t, o: ["map", g], "--out"),
-    "too many arguments": (lambda g, t, o: ["info", g, g], "unexpected"),
-    "option without value": (lambda g, t, o: ["register", g, g, "--seed"], "--seed"),
-    "seed in words": (lambda g, t, o: ["register", g, g, "--seed", "one"], "--seed"),
     "negative seed": (lambda g, t, o: ["register", g, g, "--seed", "-1"], "--seed"),
-    "fractional seed": (lambda g, t, o: ["register", g, g, "--seed", "1.5"], "--seed"),
-    "unknown unit": (lambda g, t, o: ["info", g, "--field-unit", "tesla"], "--field-unit"),
     "unknown unit of one survey": (lambda g, t, o: ["register", g, g, "--base-field-unit", "g"], "--base-field-unit"),
     "negative accuracy": (lambda g, t, o: ["info", g, "--pose-sd", "-1"], "--pose-sd"),
     "stated column that is not there": (lambda g, t, o: ["info", g, "--columns", "bx=mag_x"], "'mag_x' for bx"),
     "picture of a page": (lambda g, t, o: ["view", g, "--out", o / "v.png"], ".html"),
-    "report as a document": (lambda g, t, o: ["register", g, g, "--report", o / "r.pdf"], ".html"),
-    "report of a map as a picture": (lambda g, t, o: ["map", g, "--out", o / "m", "--report", o / "m.svg"], ".html"),
     "unknown preset": (lambda g, t, o: ["register", g, g, "--preset", "best"], "--preset"),
     "unknown sensor": (lambda g, t, o: ["register", g, g, "--sensor", "gyro"], "--sensor"),
     "sensor without refinement": (
@@ -195,15 +156,11 @@ USAGE: dict[str, tuple[Arguments, str]] = {
         "--sensor",
     ),
     "unknown prior": (lambda g, t, o: ["map", g, "--prior", "cubic", "--out", o / "m"], "--prior"),
-    "domain of five": (lambda g, t, o: ["map", g, "--domain", "0,0,0,1,1", "--out", o / "m"], "--domain"),
-    "domain upside down": (lambda g, t, o: ["map", g, "--domain", "0,0,1,1,1,0", "--out", o / "m"], "--domain"),
-    "domain of NaN": (lambda g, t, o: ["map", g, "--domain", "0,0,0,1,1,nan", "--out", o / "m"], "--domain"),
+    "domain without height": (lambda g, t, o: ["map", g, "--domain", "0,0,0,1,1,0", "--out", o / "m"], "--domain"),
     "unknown scenario": (lambda g, t, o: ["simulate", "moon", "--out", o / "s"], "moon"),
     "unknown dataset": (lambda g, t, o: ["datasets", "fetch", "moon"], "moon"),
-    "unknown dataset action": (lambda g, t, o: ["datasets", "drop", "kok"], "drop"),
     "dataset from an empty folder": (lambda g, t, o: ["datasets", "fetch", "cea", "--from", o], "cea"),
     "missing survey": (lambda g, t, o: ["register", g, t / "none.csv", "--out", o / "r.json"], "none.csv"),
-    "folder as survey": (lambda g, t, o: ["info", t], "folder"),
     "survey as map": (lambda g, t, o: ["query", g, g, "--out", o / "p.csv"], "good.csv"),
     "survey as result": (lambda g, t, o: ["transform", g, "--by", g, "--out", o / "a.csv"], "good.csv"),
     "result that is none": (
@@ -211,19 +168,14 @@ USAGE: dict[str, tuple[Arguments, str]] = {
         "r.json",
     ),
     "sensor frame without orientation": (lambda g, t, o: ["info", g, "--field-frame", "sensor"], "good.csv"),
-    "missing trajectory": (lambda g, t, o: ["info", g, "--trajectory", t / "none.tum"], ""),
     "trajectory for a survey without time": (
         lambda g, t, o: ["info", g, "--trajectory", written(t, "p.tum", "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")],
         "missing t",
     ),
     "folder of the result is missing": (lambda g, t, o: ["register", g, g, "--out", o / "no" / "r.json"], "no"),
-    "folder of the report is missing": (lambda g, t, o: ["register", g, g, "--report", o / "no" / "r.html"], "no"),
-    "folder of the map is missing": (lambda g, t, o: ["map", g, "--out", o / "no" / "m"], "no"),
     "folder of the pair is missing": (lambda g, t, o: ["simulate", "uniform", "--out", o / "no" / "s"], "no"),
-    "folder of the demo is missing": (lambda g, t, o: ["demo", "--out", o / "no" / "s"], "no"),
     "file as folder": (lambda g, t, o: ["simulate", "uniform", "--out", g], "good.csv"),
     "result would be a folder": (lambda g, t, o: ["register", g, g, "--out", o], "folder"),
-    "result over an input": (lambda g, t, o: ["map", g, "--out", g], "an input"),
     "result over an input, spelt otherwise": (
         lambda g, t, o: ["map", g, "--out", t / ".." / t.name / "good.csv"],
         "an input",
@@ -240,52 +192,44 @@ USAGE: dict[str, tuple[Arguments, str]] = {
 
 
 @pytest.mark.parametrize("case", USAGE)
-def test_bad_usage_is_one_line(case, good, out, run, tmp_path):
+def test_bad_usage_is_one_line(case, good, out, refused, tmp_path):
     arguments, words = USAGE[case]
     content = good.read_bytes()
-    assert_refused(run(*arguments(good, tmp_path, out)), words, out)
+    refused([*arguments(good, tmp_path, out)], words, out)
     assert good.read_bytes() == content
 
 
 LAUGHS = "a0: &a0 [1, 2]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
 CONFIGS: dict[str, tuple[str, str]] = {
     "not YAML": ("field: [1, 2\n", "line"),
-    "tab": ("field:\n\tlengthscale: 1\n", "line 2"),
-    "a list": ("- 1\n- 2\n", "list"),
     "a word": ("fast\n", "str"),
     "unknown setting": ("lengthscal: 1\n", "column 'lengthscal'"),
     "misspelt nested setting": ("field: {lenghtscale: 1}\n", "did you mean 'lengthscale'?"),
-    "text for a number": ("field: {lengthscale: long}\n", "field.lengthscale"),
     "out of bounds": ("field: {lengthscale: -1}\n", "field.lengthscale"),
-    "unknown choice": ("search: magic\n", "column 'search'"),
-    "a number for a group": ("field: 3\n", "column 'field'"),
     "a Python object": ("!!python/object/apply:os.system ['true']\n", "line 1"),
     "empty file": ("", "empty"),
     "values repeated without end": (LAUGHS, "repeats values by name"),
-    "a value that holds itself": ("field: &a [*a]\n", "repeats values by name"),
-    "nested without end": ("[" * 20_000, "nested too deeply"),
+    "nested without end": ("[" * 2_000, "nested too deeply"),
     "JSON cut off": ('{"schema": "magmatch.registration/1", "config": {', "line 1"),
     "larger than settings are": ("#" + "x" * (2 << 20), "larger than any settings"),
 }
 
 
 @pytest.mark.parametrize("case", CONFIGS)
-def test_a_bad_configuration_names_the_setting(case, good, out, run, tmp_path):
+def test_a_bad_configuration_names_the_setting(case, good, out, refused, tmp_path):
     text, words = CONFIGS[case]
     config = written(tmp_path, "c.yaml", text)
-    outcome = run("register", good, good, "--config", config, "--out", out / "r.json")
-    assert_refused(outcome, words, out)
-    assert "c.yaml" in outcome.err
+    assert "c.yaml" in refused(["register", good, good, "--config", config, "--out", out / "r.json"], words, out)
 
 
 @pytest.mark.parametrize(("command", "part"), [("map", "field"), ("prepare", "preparation")])
-def test_a_part_of_the_settings_that_is_no_group_is_named(command, part, good, out, run, tmp_path):
+def test_a_part_of_the_settings_that_is_no_group_is_named(command, part, good, out, refused, tmp_path):
     config = written(tmp_path, "c.yaml", f"{part}: 3\n")
-    assert_refused(run(command, good, "--config", config, "--out", out / "m"), f"column '{part}'", out)
+    refused([command, good, "--config", config, "--out", out / "m"], f"column '{part}'", out)
 
 
-def test_a_missing_configuration_is_named(good, out, run, tmp_path):
-    assert_refused(run("map", good, "--config", tmp_path / "c.yaml", "--out", out / "m"), "c.yaml", out)
+def test_a_missing_configuration_is_named(good, out, refused, tmp_path):
+    refused(["map", good, "--config", tmp_path / "c.yaml", "--out", out / "m"], "c.yaml", out)
 
 
 POINTS = {
@@ -297,16 +241,16 @@ POINTS = {
 
 
 @pytest.mark.parametrize("case", POINTS)
-def test_bad_points_are_refused_by_line(case, place, out, run, tmp_path):
+def test_bad_points_are_refused_by_line(case, place, out, refused, tmp_path):
     text, words = POINTS[case]
     points = written(tmp_path, "p.csv", text)
-    assert_refused(run("query", place / "base.map", points, "--out", out / "q.csv"), words, out)
+    refused(["query", place / "base.map", points, "--out", out / "q.csv"], words, out)
 
 
-def test_a_map_and_points_that_are_swapped_are_told_by_the_map(place, out, run, tmp_path):
+def test_a_map_and_points_that_are_swapped_are_told_by_the_map(place, out, refused, tmp_path):
     points = written(tmp_path, "p.csv", "x,y,z\n0,0,0\n")
-    outcome = run("query", points, place / "base.map", "--out", out / "q.csv")
-    assert_refused(outcome, "p.csv: expected a saved map", out)
+    words = ["query", points, place / "base.map", "--out", out / "q.csv"]
+    refused(words, "p.csv: expected a saved map", out)
 
 
 def truncated(raw: bytes) -> bytes:
@@ -320,48 +264,44 @@ def flipped(raw: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("damage", [truncated, flipped])
-def test_a_damaged_map_is_refused(damage, place, good, out, run, tmp_path):
+def test_a_damaged_map_is_refused(damage, place, good, out, refused, tmp_path):
     bad = tmp_path / "bad.map"
     bad.write_bytes(damage((place / "base.map").read_bytes()))
     for words in (["register", good, bad], ["map", bad], ["transform", bad, "--by", place / "result.json"]):
-        assert_refused(run(*words, "--out", out / "x"), "bad.map", out)
+        refused([*words, "--out", out / "x"], "bad.map", out)
 
 
-def test_a_map_needs_no_units(place, good, out, run):
+def test_a_map_needs_no_units(place, good, out, refused):
     words = ("register", good, place / "base.map", "--target-field-unit", "uT", "--out", out / "r.json")
-    assert_refused(run(*words), "--target-field-unit", out)
+    refused(words, "--target-field-unit", out)
 
 
-def test_a_refused_registration_moves_nothing(place, good, out, run, tmp_path):
-    content = json.loads((place / "result.json").read_text())
-    content |= {"status": "ambiguous", "T_base_target": None, "covariance": None}
-    content.pop("sha256", None)
+@pytest.mark.parametrize(
+    "edit", [{"status": "ambiguous", "T_base_target": None, "covariance": None}, {"n_inliers": 1}]
+)
+def test_a_refused_registration_moves_nothing_and_an_edited_one_neither(edit, place, good, out, refused, tmp_path):
+    content = json.loads((place / "result.json").read_text()) | edit
+    if "status" in edit:
+        content.pop("sha256", None)
     result = written(tmp_path, "r.json", json.dumps(content))
-    assert_refused(run("transform", good, "--by", result, "--out", out / "a.csv"), "r.json", out)
-
-
-def test_an_edited_result_is_noticed(place, good, out, run, tmp_path):
-    content = json.loads((place / "result.json").read_text())
-    content["T_base_target"][0][3] += 1
-    result = written(tmp_path, "r.json", json.dumps(content))
-    assert_refused(run("transform", good, "--by", result, "--out", out / "a.csv"), "r.json", out)
+    refused(["transform", good, "--by", result, "--out", out / "a.csv"], "r.json", out)
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere; tried below without")
-def test_no_permission_to_write_is_refused(good, out, run):
+def test_no_permission_to_write_is_refused(good, out, refused):
     out.chmod(0o500)
-    assert_refused(run("map", good, "--out", out / "m"), "permission", out)
+    refused(["map", good, "--out", out / "m"], "permission", out)
 
 
-def test_no_permission_to_write_is_refused_before_the_work(good, out, run, monkeypatch):
+def test_no_permission_to_write_is_refused_before_the_work(good, out, refused, monkeypatch):
     def deny(*_args, **_named):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("magmatch.cli.outputs.tempfile.NamedTemporaryFile", deny)
-    assert_refused(run("map", good, "--out", out / "m"), "no permission to write", out)
+    refused(["map", good, "--out", out / "m"], "no permission to write", out)
 
 
-def test_no_permission_to_read_is_refused(good, out, run, monkeypatch):
+def test_no_permission_to_read_is_refused(good, out, refused, monkeypatch):
     read_bytes = Path.open
 
     def deny(path, *args, **named):
@@ -370,7 +310,7 @@ def test_no_permission_to_read_is_refused(good, out, run, monkeypatch):
         return read_bytes(path, *args, **named)
 
     monkeypatch.setattr(Path, "open", deny)
-    assert_refused(run("map", good, "--out", out / "m"), "good.csv", out)
+    refused(["map", good, "--out", out / "m"], "good.csv", out)
 
 
 def test_a_failure_late_leaves_the_old_result(place, good, out, run, tmp_path, monkeypatch):

@@ -35,27 +35,18 @@ REFUSED = {
     "unknown ending of a survey": (["base.csv", "out.xlsx"], "ends in .csv"),
     "unknown ending of a map": (["base.map", "out.foo"], "ends in .csv, .parquet, .mcap, .tum, .ply, .vtk, .nc"),
     "unknown ending of a result": (["result.json", "out.csv"], "ends in .tum, .g2o, .yaml"),
-    "no ending": (["base.csv", "out"], "ends in .csv"),
-    "survey as a pose graph": (["base.csv", "out.g2o"], "ends in .csv"),
     "slice of nothing": (["base.map", "out.nc", "--slice", "1.0"], "--slice"),
     "slice of another axis": (["base.map", "out.nc", "--slice", "w=1"], "--slice"),
-    "slice at nan": (["base.map", "out.nc", "--slice", "z=nan"], "--slice"),
-    "spacing of nothing": (["base.map", "out.nc", "--spacing", "0"], "--spacing"),
     "spacing of dust": (["base.map", "out.nc", "--spacing", "1e-5"], "choose a larger one"),
     "one frame": (["result.json", "out.yaml", "--frames", "map"], "--frames"),
     "another tangent": (["result.json", "out.g2o", "--g2o-rotation", "euler"], "--g2o-rotation"),
     "poses of a survey without orientations": (["base.csv", "out.tum"], "needs"),
-    "no such folder": (["base.csv", "nowhere/out.csv"], "does not exist"),
     "over itself": (["base.csv", "base.csv"], "overwrite an input"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_written_is_refused_in_one_line(case, place, run, tmp_path):
+def test_what_cannot_be_written_is_refused_in_one_line(case, place, refused, tmp_path):
     (source, out, *options), words = REFUSED[case]
     out = place / out if out == "base.csv" else tmp_path / out
-    outcome = run("convert", place / source, out, *options)
-    assert outcome.code == 2
-    assert outcome.err.count("\n") == 1
-    assert words in outcome.err
-    assert list(tmp_path.iterdir()) == []
+    refused(["convert", place / source, out, *options], words, tmp_path)

@@ -13,10 +13,11 @@ PHONE = "% GetSensorData\nMAGN;0;0;1;2;3;3\n"
 def test_a_folder_stands_for_its_logs_and_says_what_is_not_read(tmp_path, capsys):
     (tmp_path / "b.txt").write_text(PHONE)
     (tmp_path / "a.txt").write_text(PHONE)
+    (tmp_path / "drive.bag").write_text("#ROSBAG V2.0\n")
     (tmp_path / ".hidden.txt").write_text(PHONE)
     (tmp_path / "notes.csv").write_text(TABLE)
-    assert logs_in([tmp_path]) == [tmp_path / "a.txt", tmp_path / "b.txt"]
-    assert capsys.readouterr().err == f"{tmp_path}: 2 logs; not read: notes.csv\n"
+    assert logs_in([tmp_path]) == [tmp_path / name for name in ("a.txt", "b.txt", "drive.bag")]
+    assert capsys.readouterr().err == f"{tmp_path}: 3 logs; not read: notes.csv\n"
     assert logs_in([tmp_path / "b.txt", tmp_path / "notes.csv"]) == [tmp_path / "b.txt", tmp_path / "notes.csv"]
 
 

@@ -2,14 +2,11 @@
 """How sure an answer must be, said on the command line: what is taken, what is refused, what it does."""
 
 import json
-from math import degrees, radians
+from math import radians
 
 import pytest
 
-from magmatch.cli.limits import with_limits
-from magmatch.cli.main import main
-from magmatch.errors import ConfigurationError
-from magmatch.localization.config import LocalizerConfig
+from magmatch.cli.settings import with_limits
 from magmatch.registration.config import PRESETS
 
 DEFAULT = PRESETS["default"]
@@ -19,26 +16,12 @@ def test_what_is_said_becomes_settings_and_nothing_else_changes():
     decision = with_limits(DEFAULT, 0.95, "0.1,2").decision
     assert decision.min_probability == 0.95
     assert (decision.max_sd_translation, decision.max_sd_rotation) == (0.1, pytest.approx(radians(2)))
-    plain = DEFAULT.decision.model_dump()
-    changed = {"min_probability", "max_sd_translation", "max_sd_rotation"}
-    assert {k: v for k, v in decision.model_dump().items() if k not in changed} == {
-        k: v for k, v in plain.items() if k not in changed
-    }
+    changed = ("min_probability", "max_sd_translation", "max_sd_rotation")
+    plain = {name: getattr(DEFAULT.decision, name) for name in changed}
+    assert decision.model_copy(update=plain) == DEFAULT.decision
     assert with_limits(DEFAULT, None, None) is DEFAULT
-    assert with_limits(DEFAULT, None, "0.1,2").decision.min_probability == DEFAULT.decision.min_probability
-    assert with_limits(DEFAULT, 0.5, None).decision.max_sd_translation is None
-
-
-@pytest.mark.parametrize("probability", [1e-9, 0.5, 1 - 1e-12])
-def test_any_probability_between_none_and_certainty_is_taken(probability):
-    assert with_limits(DEFAULT, probability, None).decision.min_probability == probability
-
-
-@pytest.mark.parametrize("text", ["0.001,0.01", "100,180", " 0.1 , 2 ", "1e-2,5"])
-def test_any_spread_above_nothing_is_taken(text):
-    metres, degrees = map(float, text.split(","))
-    decision = with_limits(DEFAULT, None, text).decision
-    assert decision.max_sd(1.0) == pytest.approx((metres, radians(degrees)))
+    assert with_limits(DEFAULT, None, " 100 , 180 ").decision.max_sd(1.0) == pytest.approx((100, radians(180)))
+    assert with_limits(DEFAULT, 1 - 1e-12, None).decision.min_probability == 1 - 1e-12
 
 
 @pytest.mark.parametrize(
@@ -46,38 +29,19 @@ def test_any_spread_above_nothing_is_taken(text):
     [
         (("--min-probability", "0"), "--min-probability: expected a number between 0 and 1"),
         (("--min-probability", "1"), "--min-probability: expected a number between 0 and 1"),
-        (("--min-probability", "99"), "found '99'"),
-        (("--min-probability", "-0.5"), "--min-probability"),
-        (("--min-probability", "nan"), "--min-probability"),
-        (("--min-probability", "sure"), "--min-probability"),
+        (("--min-probability", "nan"), "found 'nan'"),
         (("--max-sd", "0.1"), "--max-sd: expected metres,degrees"),
-        (("--max-sd", "0.1,2,3"), "--max-sd"),
-        (("--max-sd", "0.1;2"), "--max-sd"),
         (("--max-sd", "a,b"), "--max-sd"),
-        (("--max-sd", ""), "--max-sd"),
         (("--max-sd", "0,2"), "--max-sd: expected metres above 0"),
-        (("--max-sd", "-1,2"), "--max-sd"),
         (("--max-sd", "0.1,0"), "--max-sd"),
         (("--max-sd", "0.1,181"), "degrees from 0 to 180"),
         (("--max-sd", "inf,2"), "--max-sd"),
-        (("--max-sd", "0.1,nan"), "--max-sd"),
         (("--max-sd", "0.1,2", "--preset", "paper"), "the published method decides by its fitness"),
-        (("--min-probability", "0.9", "--preset", "paper"), "the published method decides by its fitness"),
+        (("--min-probability", "0.9", "--preset", "paper"), "uses neither"),
     ],
 )
-def test_a_limit_that_cannot_be_is_one_line_and_code_2(words, said, place, run, tmp_path):
-    outcome = run("register", place / "base.map", place / "target.map", *words, "--out", tmp_path / "r.json")
-    assert outcome.code == 2
-    assert outcome.out == ""
-    assert outcome.err.count("\n") == 1, outcome.err
-    assert said in outcome.err
-    assert not (tmp_path / "r.json").exists()
-
-
-def test_the_published_method_refuses_limits_it_does_not_know():
-    with pytest.raises(ConfigurationError, match="uses neither"):
-        with_limits(PRESETS["paper"], None, "0.1,2")
-    assert with_limits(PRESETS["paper"], None, None) is PRESETS["paper"]
+def test_a_limit_that_cannot_be_is_one_line_and_code_2(words, said, place, refused, tmp_path):
+    refused(["register", place / "base.map", place / "target.map", *words, "--out", tmp_path / "r"], said, tmp_path)
 
 
 def registered(run, place, *words):
@@ -114,16 +78,3 @@ def test_a_probability_beyond_what_is_reached_refuses(place, run, tmp_path):
     assert code == 3
     assert result["T_base_target"] is None
     assert result["status"] in ("inconsistent", "uninformative", "no_overlap", "ambiguous")
-
-
-@pytest.mark.parametrize(
-    ("command", "decision"), [("register", DEFAULT.decision), ("localize", LocalizerConfig().decision)]
-)
-def test_the_help_states_the_limits_that_hold(command, decision, capsys):
-    assert main([command, "--help"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    lengths, angle = decision.max_sd_translation_in_lengths, degrees(decision.max_sd_rotation)
-    own = f"{lengths} correlation lengths of the field, {angle:.1f} degrees"
-    shift = decision.max_sd_translation
-    assert f"[default: {f'{shift:g},{angle:.0f}' if shift else own}]" in said
-    assert f"[default: {decision.min_probability}]" in said

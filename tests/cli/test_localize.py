@@ -24,7 +24,7 @@ def hall(tmp_path_factory):
     log, truth = drifting_walk(Place(1), 3, laps=0.8)
     log.save(folder / "walk.csv")
     np.save(folder / "truth.npy", truth)
-    drifting_walk(Place(60), 4, laps=0.8)[0].save(folder / "other.csv")
+    drifting_walk(Place(60), 4, laps=0.5)[0].save(folder / "other.csv")
     return folder
 
 
@@ -101,28 +101,19 @@ def test_elsewhere_it_says_never_and_writes_no_pose(run, hall, tmp_path):
     [
         (["{hall}/hall.map", "{hall}/walk.csv"], "--out"),
         (["{hall}/walk.csv", "{hall}/walk.csv", "--out", "{tmp}/w.tum"], "saved map"),
-        (["{hall}/none.map", "{hall}/walk.csv", "--out", "{tmp}/w.tum"], "none.map"),
         (["{tmp}", "{hall}/walk.csv", "--out", "{tmp}/w.tum"], "no saved maps"),
-        (["{hall}/hall.map", "{hall}/truth.npy", "--out", "{tmp}/w.tum"], "truth.npy"),
         (["{hall}/hall.map", "{hall}/walk.csv", "--out", "{hall}/walk.csv"], "input"),
         (["{hall}/hall.map", "{hall}/walk.csv", "--out", "{tmp}/w.tum", "--planar", "--no-gravity"], "--no-gravity"),
         (["{hall}/hall.map", "{hall}/walk.csv", "--out", "{tmp}/w.tum", "--odometry-sd", "0,1"], "above 0"),
         (["{hall}/hall.map", "{hall}/walk.csv", "--out", "{tmp}/w.tum", "--max-sd", "1"], "--max-sd"),
-        (["{hall}/hall.map", "{hall}/walk.csv", "--out", "{tmp}/w.tum", "--field-unit", "uT"], "uT"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(run, hall, tmp_path, words, said):
-    done = run("localize", *[word.format(hall=hall, tmp=tmp_path) for word in words])
-    assert done.code == 2
-    assert len(done.err.strip().splitlines()) == 1, done.err
-    assert said in done.err
-    assert not list(tmp_path.iterdir())
+def test_bad_input_is_one_line_and_leaves_nothing(refused, hall, tmp_path, words, said):
+    refused(["localize", *[word.format(hall=hall, tmp=tmp_path) for word in words]], said, tmp_path)
 
 
-def test_a_log_without_times_is_refused_by_name(run, hall, tmp_path):
+def test_a_log_without_times_is_refused_by_name(refused, hall, tmp_path):
     log = mm.read_survey(hall / "walk.csv")
     mm.Survey(log.positions, log.field).save(tmp_path / "still.csv")
-    done = run("localize", hall / "hall.map", tmp_path / "still.csv", "--out", tmp_path / "w.tum")
-    assert done.code == 2
-    assert "still.csv" in done.err
-    assert "times" in done.err
+    words = ["localize", hall / "hall.map", tmp_path / "still.csv", "--out", tmp_path / "w.tum"]
+    assert "times" in refused(words, "still.csv")

@@ -31,45 +31,28 @@ def test_a_placeholder_in_the_help_keeps_its_capitals(run):
     assert "lATITUDE" not in shown
 
 
-def test_help_names_every_command_and_exit_code(run):
+def test_help_names_every_command_and_exit_code_and_no_command_shows_it(run):
     outcome = run("--help")
     assert outcome.code == 0
     for name in COMMANDS:
         assert f"\n  {name} " in outcome.out
     for code in "0123":
         assert f"\n    {code}  " in outcome.out
-
-
-def test_no_command_shows_the_help(run):
-    assert run() == run("--help")
+    assert run() == outcome
 
 
 def test_version_is_shown(run):
     assert run("--version").out == f"magmatch {__version__}\n"
 
 
-@pytest.mark.parametrize("words", [["--help"], ["register", "--help"], ["map", "--help"]])
-def test_help_does_not_wait_for_numerics(words):
+def test_neither_help_nor_the_package_waits_for_numerics():
     code = (
-        "import sys; from magmatch.cli.main import main\n"
-        f"main({words!r})\n"
+        "import sys, magmatch; from magmatch.cli.main import main\n"
+        "for words in (['--help'], ['register', '--help'], ['map', '--help']): main(words)\n"
         "print(sorted({'numpy', 'scipy', 'numba', 'plotly', 'rich'} & set(sys.modules)), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
-
-
-def test_the_package_imports_without_numerics():
-    code = "import sys, magmatch; print('numpy' in sys.modules, 'scipy' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "False"]
-
-
-def test_python_dash_m_is_the_program():
-    done = subprocess.run([sys.executable, "-m", "magmatch", "info"], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "FILE" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -115,47 +98,30 @@ def test_a_full_disk_is_a_fault_of_the_machine(place, run):
     assert "No space left" in outcome.err
 
 
+def program(*words, stdout=subprocess.PIPE):
+    """The program in a process of its own."""
+    done = [sys.executable, "-m", "magmatch", *words]
+    return subprocess.run(done, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_stdout_is_a_fault_of_the_machine(tmp_path):
+def test_a_full_stdout_is_a_fault_of_the_machine():
     with Path("/dev/full").open("w") as full:
-        words = [sys.executable, "-m", "magmatch", "datasets"]
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert done.returncode == 1
-    assert done.stderr.count("\n") == 1
+        done = program("datasets", stdout=full)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
 
 
 def test_a_reader_that_leaves_is_no_error():
     read_end, write_end = os.pipe()
     os.close(read_end)
-    words = [sys.executable, "-m", "magmatch", "datasets"]
-    done = subprocess.run(words, stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
+    done = program("datasets", stdout=write_end)
     os.close(write_end)
-    assert done.returncode == boundary.READER_LEFT
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (boundary.READER_LEFT, "")
 
 
-def test_results_go_to_a_pipe_or_device(place, tmp_path):
-    words = ["transform", place / "target.csv", "--by", place / "result.json", "--out", "/dev/stdout"]
-    done = subprocess.run([sys.executable, "-m", "magmatch", *words], capture_output=True, text=True, check=True)
+def test_results_go_to_a_pipe_or_device(place):
+    done = program("transform", place / "target.csv", "--by", place / "result.json", "--out", "/dev/stdout")
     assert done.stdout.splitlines()[0] == "x,y,z,bx,by,bz,survey_frame"
-
-
-def test_a_missing_extra_is_named_before_the_work(place, run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    out, report = tmp_path / "r.json", tmp_path / "r.html"
-    words = ("register", place / "base.map", place / "target.map", "--out", out, "--report", report)
-    outcome = run(*words)
-    assert outcome.code == 2
-    assert "pip install '.[viz]'" in outcome.err
-    assert not out.exists()
-
-
-def test_a_missing_extra_leaves_no_empty_folder(run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "magpylib", None)
-    outcome = run("simulate", "office", "--out", tmp_path / "pair")
-    assert outcome.code == 2
-    assert "pip install '.[simulation]'" in outcome.err
-    assert not (tmp_path / "pair").exists()
 
 
 def test_progress_comes_and_goes_on_a_terminal(place, run, tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 """``magmatch slam`` and ``magmatch merge``: exit codes, what is left in the folder, and what is refused."""
 
 import json
+import shutil
 import sys
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
+from magmatch.cli.main import main
 from magmatch.slam.result import SlamResult
 
 pytest.importorskip("plotly", reason="the report is drawn with the extra 'viz'")
@@ -25,15 +27,18 @@ def logs(tmp_path_factory):
     return folder
 
 
-def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, tmp_path):
-    done = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--json")
-    assert done.code == 0, done.err
-    assert "planar" in done.err
-    assert "Connected" in done.err
+@pytest.fixture(scope="module")
+def corrected(logs):
+    """The folder that slam makes of walk.csv."""
+    assert main(["slam", str(logs / "walk.csv"), "--out", str(logs / "out")]) == 0
+    return logs / "out"
+
+
+def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, corrected, tmp_path):
+    shutil.copytree(corrected, tmp_path / "out")
     names = {path.name for path in (tmp_path / "out").iterdir()}
     files = "walk.tum walk.csv map.map graph.g2o covariances.csv report.html result.json session.state"
     assert names == set(files.split())
-    assert json.loads(done.out) == SlamResult.load(tmp_path / "out" / "result.json").to_dict()
     truth = np.load(logs / "truth.npy")
     before, after = mm.read_survey(logs / "walk.csv"), mm.Trajectory.load(tmp_path / "out" / "walk.tum")
     assert trajectory_error(truth, after.positions) < 0.7 * trajectory_error(truth, before.positions)
@@ -41,12 +46,13 @@ def test_a_log_is_corrected_and_the_folder_holds_all_of_it(run, logs, tmp_path):
     assert "Connected" in page
     assert "Where the graph is weak" in page
     # Again, into the same folder, with the settings of the first time.
-    again = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--config", logs / "no.yaml")
-    assert again.code == 2
     (tmp_path / "earlier.json").write_bytes((tmp_path / "out" / "result.json").read_bytes())
     tum = (tmp_path / "out" / "walk.tum").read_bytes()
-    again = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--config", tmp_path / "earlier.json")
+    again = run("slam", logs / "walk.csv", "--out", tmp_path / "out", "--config", tmp_path / "earlier.json", "--json")
     assert again.code == 0
+    assert "planar" in again.err
+    assert "Connected" in again.err
+    assert json.loads(again.out) == SlamResult.load(tmp_path / "out" / "result.json").to_dict()
     assert (tmp_path / "out" / "walk.tum").read_bytes() == tum
 
 
@@ -82,40 +88,21 @@ def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path)
     ("words", "said"),
     [
         (["{logs}/walk.csv"], "--out"),
-        (["{logs}/none.csv", "--out", "{tmp}/out"], "none.csv"),
         (["{logs}/truth.npy", "--out", "{tmp}/out"], "truth.npy"),
         (["{logs}/walk.csv", "--out", "{logs}"], "holds an input"),
-        (["{logs}/walk.csv", "--out", "{logs}/walk.csv"], "is a file"),
-        (["{logs}/walk.csv", "--out", "{tmp}/no/where"], "create it first"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "0.3"], "metres,degrees"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "-1,2"], "none below 0"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "robot:1,2"], "name of a log"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--planar", "--no-gravity"], "--no-gravity"),
-        (["{logs}/walk.csv", "--out", "{tmp}/out", "--field-unit", "uT"], "uT"),
         (["{logs}/walk.csv", "{logs}/short.csv", "--out", "{tmp}/out", "--trajectory", "p.tum"], "a single LOG"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--scheduler", "there"], "an address such as tcp://"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(run, logs, tmp_path, words, said):
-    done = run("slam", *[word.format(logs=logs, tmp=tmp_path) for word in words])
-    assert done.code == 2
-    assert len(done.err.strip().splitlines()) == 1
-    assert said in done.err
-    assert not list(tmp_path.iterdir())
+def test_bad_input_is_one_line_and_leaves_nothing(refused, logs, tmp_path, words, said):
+    refused(["slam", *[word.format(logs=logs, tmp=tmp_path) for word in words]], said, tmp_path)
 
 
-def test_an_empty_file_and_one_of_nan_are_refused(run, tmp_path):
-    (tmp_path / "empty.csv").write_text("")
-    assert run("slam", tmp_path / "empty.csv", "--out", tmp_path / "out").code == 2
-    rows = "x,y,z,bx,by,bz\n" + "".join(f"{k},0,0,3e-5,{'nan' if k == 7 else 0},0\n" for k in range(20))
-    (tmp_path / "nan.csv").write_text(rows)
-    done = run("slam", tmp_path / "nan.csv", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert "nan.csv" in done.err
-    assert not (tmp_path / "out").exists()
-
-
-def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, place, logs, tmp_path):
+def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, refused, place, logs, tmp_path):
     words = ["merge", place / "base.csv", place / "target.map", "--out", tmp_path / "out"]
     done = run(*words)
     result = SlamResult.load(tmp_path / "out" / "result.json")
@@ -124,9 +111,7 @@ def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, place, 
     assert (tmp_path / "out" / "report.html").is_file()
     direct = run("register", place / "base.csv", place / "target.map", "--json")
     assert (done.code == 0) == (direct.code == 0)
-    refused = run("slam", logs / "walk.csv", "--out", tmp_path / "out")
-    assert refused.code == 2
-    assert "other inputs" in refused.err
+    refused(["slam", logs / "walk.csv", "--out", tmp_path / "out"], "other inputs")
 
 
 def test_without_the_package_that_draws_all_but_the_report_is_written(run, place, tmp_path, monkeypatch):
@@ -147,30 +132,18 @@ def test_merge_in_other_processes_writes_the_same_closures(run, place, tmp_path)
     assert not (tmp_path / ".two.unfinished").exists()
 
 
-def test_one_file_of_poses_is_not_taken_for_several_surveys(run, place, tmp_path):
-    for words in (["merge"], ["map"]):
-        files = [place / "base.csv", place / "target.csv"]
-        done = run(*words, *files, "--trajectory", "p.tum", "--out", tmp_path / "out")
-        assert done.code == 2
-        assert "a single SURVEY" in done.err
-        assert "magmatch convert SURVEY SURVEY_POSED.csv --trajectory POSES" in " ".join(done.err.split())
+@pytest.mark.parametrize("name", ["merge", "map"])
+def test_one_file_of_poses_is_not_taken_for_several_surveys(name, refused, place, tmp_path):
+    words = [name, place / "base.csv", place / "target.csv", "--trajectory", "p.tum", "--out", tmp_path / "out"]
+    said = refused(words, "a single SURVEY", tmp_path)
+    assert "magmatch convert SURVEY SURVEY_POSED.csv --trajectory POSES" in said
 
 
-def test_merge_takes_two_at_least(run, place, tmp_path):
-    done = run("merge", place / "base.csv", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert "at least two" in done.err
+def test_merge_takes_two_at_least(refused, place, tmp_path):
+    refused(["merge", place / "base.csv", "--out", tmp_path / "out"], "at least two", tmp_path)
 
 
-@pytest.mark.parametrize("name", ["slam", "merge"])
-def test_help_shows_examples_and_exit_codes(run, name):
-    done = run(name, "--help")
-    assert done.code == 0
-    assert f"magmatch {name} " in done.out
-    assert "Exit code 0" in done.out
-
-
-def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, logs, tmp_path, monkeypatch):
+def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, refused, logs, tmp_path, monkeypatch):
     walk, truth = mm.read_survey(logs / "short.csv"), np.load(logs / "truth.npy")
     points = tmp_path / "points.csv"
     rows = [f"short,{walk.times[k]},{p[0] + 50},{p[1]},{p[2]},0.02" for k in (3, 70, 140) for p in [truth[k]]]
@@ -190,57 +163,37 @@ def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, l
         ("short,1,0,0,0,0", "above 0"),
     ):
         points.write_text(f"log,t,x,y,z,sd\n{text}\n")
-        done = run("slam", logs / "short.csv", "--anchors", points, "--out", tmp_path / "no")
-        assert done.code == 2
-        assert said in done.err
-        assert len(done.err.strip().splitlines()) == 1
+        refused(["slam", logs / "short.csv", "--anchors", points, "--out", tmp_path / "no"], said)
     # Before any poses are worked out.
     monkeypatch.setattr("magmatch.preparation.odometry.open_walk.OpenedWalk.survey", None)
     points.write_text("log,t,lat,lon,z,sd\nshort,1,49,11,0,1\n")
-    done = run("slam", logs / "short.csv", "--anchors", points, "--continue", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert "points.csv, line 2: is in metres, " in done.err
+    words = ["slam", logs / "short.csv", "--anchors", points, "--continue", "--out", tmp_path / "out"]
+    refused(words, "points.csv, line 2: is in metres, ")
     assert {path.name for path in tmp_path.iterdir()} == {"out", "points.csv"}
 
 
-def test_one_more_log_is_added_to_a_folder(run, logs, tmp_path):
-    assert run("slam", logs / "walk.csv", "--out", tmp_path / "out").code == 0
+def test_one_more_log_is_added_to_a_folder(run, refused, logs, corrected, tmp_path):
+    shutil.copytree(corrected, tmp_path / "out")
     both = ["slam", logs / "walk.csv", logs / "short.csv", "--out", tmp_path / "out"]
-    refused = run(*both)
-    assert refused.code == 2
-    assert "--continue" in refused.err
+    refused(both, "--continue")
     done = run(*both, "--continue")
     assert done.code == 0, done.err
     result = SlamResult.load(tmp_path / "out" / "result.json")
     assert [(log.name, log.component) for log in result.logs] == [("walk", 0), ("short", 0)]
     assert (tmp_path / "out" / "short.tum").is_file()
-    refused = run(*both, "--continue", "--planar")
-    assert refused.code == 2
-    assert "--continue" in refused.err
-    refused = run("slam", logs / "short.csv", "--out", tmp_path / "new", "--continue")
-    assert refused.code == 2
-    assert "no session" in refused.err
+    refused([*both, "--continue", "--planar"], "--continue")
+    refused(["slam", logs / "short.csv", "--out", tmp_path / "new", "--continue"], "no session")
 
 
-def test_logs_in_mixed_units_and_clocks_that_run_backward_are_one_line(run, logs, tmp_path):
+def test_logs_in_mixed_units_and_clocks_that_run_backward_are_one_line(refused, logs, tmp_path):
     walk = mm.read_survey(logs / "short.csv")
-    (tmp_path / "micro.csv").write_text(
-        "t,x,y,z,bx,by,bz\n"
-        + "".join(
-            ",".join(map(repr, row)) + "\n"
-            for row in np.column_stack([walk.times, walk.positions, 1e6 * walk.field]).tolist()
-        )
-    )
-    done = run("slam", logs / "short.csv", tmp_path / "micro.csv", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert "micro.csv" in done.err
-    assert "uT" in done.err
+    micro = np.column_stack([walk.times, walk.positions, 1e6 * walk.field])
+    np.savetxt(tmp_path / "micro.csv", micro, delimiter=",", header="t,x,y,z,bx,by,bz", comments="", fmt="%.17g")
+    words = ["slam", logs / "short.csv", tmp_path / "micro.csv", "--out", tmp_path / "out"]
+    assert "micro.csv" in refused(words, "uT")
     lines = (logs / "short.csv").read_text().splitlines()
     (tmp_path / "back.csv").write_text("\n".join([*lines[:50], lines[20], *lines[50:]]) + "\n")
-    done = run("slam", tmp_path / "back.csv", "--out", tmp_path / "out")
-    assert done.code == 2
-    assert "back.csv, line 51" in done.err
-    assert "backward" in done.err
+    assert "backward" in refused(["slam", tmp_path / "back.csv", "--out", tmp_path / "out"], "back.csv, line 51")
     assert {path.name for path in tmp_path.iterdir()} == {"micro.csv", "back.csv"}
 
 

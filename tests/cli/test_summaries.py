@@ -3,7 +3,7 @@
 
 import pytest
 
-from magmatch.cli.summaries import tell_result
+from magmatch.cli.registering import tell_result
 from magmatch.registration.result import RegistrationResult, Status
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`magmatch view`: pages and recordings."""
+"""Pictures: `magmatch view`, recordings, `register --figures`, and what each needs installed."""
 
 import sys
 
@@ -24,27 +24,34 @@ def test_a_page_and_a_recording_are_written_where_both_are_asked_for(place, run,
     assert recording.exists()
 
 
-def test_a_result_alone_has_nothing_in_space(place, run, tmp_path, monkeypatch):
+def test_a_result_alone_has_nothing_in_space(place, refused, tmp_path):
     pytest.importorskip("rerun")
-    monkeypatch.chdir(tmp_path)
-    outcome = run("view", place / "result.json", "--rerun", "o.rrd")
-    assert outcome.code == 2
-    assert "give its base and target too" in outcome.err
-    assert len(outcome.err.splitlines()) == 1
+    refused(["view", place / "result.json", "--rerun", tmp_path / "o.rrd"], "give its base and target too", tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("module", "words", "extra"),
-    [("rerun", ("--rerun", "o.rrd"), "rerun"), ("plotly.graph_objects", (), "viz")],
-)
-def test_a_missing_extra_is_one_line_that_names_it(place, run, monkeypatch, tmp_path, module, words, extra):
+EXTRAS = {
+    "rerun": ("rerun", ("view", "base.csv"), ("--rerun", "o.rrd")),
+    "viz": ("plotly.graph_objects", ("view", "base.csv"), ()),
+    "images": ("kaleido", ("register", "base.csv", "target.csv"), ("--figures", "figures")),
+    "simulation": ("magpylib", ("simulate",), ("office", "--out", "pair")),
+}
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_a_missing_extra_is_one_line_that_names_it_before_the_work(extra, place, refused, monkeypatch, tmp_path):
+    module, (command, *files), options = EXTRAS[extra]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, module, None)
-    outcome = run("view", place / "base.csv", *words)
-    assert outcome.code == 2
-    assert f"pip install '.[{extra}]'" in outcome.err
-    assert len(outcome.err.splitlines()) == 1
-    assert not list(tmp_path.iterdir())
+    refused([command, *(place / name for name in files), *options], f"pip install '.[{extra}]'", tmp_path)
+
+
+def test_figures_of_a_registration_are_written_into_the_folder_and_said(place, run, monkeypatch, tmp_path):
+    plotly_io = pytest.importorskip("plotly.io")
+    monkeypatch.setattr("magmatch.viz.images.require_images", lambda: None)
+    monkeypatch.setattr(plotly_io, "write_images", lambda fig, file, **_: [f.write_bytes(b"") for f in file])
+    outcome = run("register", place / "base.map", place / "target.map", "--figures", tmp_path / "figures")
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"in-space.png", "in-space.svg"}
+    assert f"Wrote figures into {tmp_path / 'figures'}" in outcome.err
 
 
 def test_surveys_that_come_with_a_result_are_mapped(place, run, tmp_path):

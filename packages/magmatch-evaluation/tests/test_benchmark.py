@@ -7,7 +7,6 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -53,9 +52,13 @@ def test_run_killed_again_and_again_repeats_nothing_and_gives_the_same_table(tmp
 def test_finished_run_is_not_run_again(tmp_path):
     calls = tmp_path / "calls.txt"
     plan = toy.toy_plan(str(calls))
-    first = evaluate(plan, tmp_path)
-    again = evaluate(plan, tmp_path)
+    told = []
+    first = evaluate(plan, tmp_path / "new", tell=told.append)
+    again = evaluate(plan, tmp_path / "new")
     assert [repr(row) for row in first] == [repr(row) for row in again]
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"rows.jsonl", "rows.csv"}
+    assert [(p.n_done, p.n_all) for p in told] == [(n, 40) for n in range(0, 41, 2)]
+    assert (told[0].seconds_left, told[-1].seconds_left) == (None, 0)
     assert len(calls.read_text().splitlines()) == 40
 
 
@@ -84,16 +87,13 @@ def test_method_that_breaks_down_has_failed_and_the_others_go_on(tmp_path):
     assert len(rows) == 6
 
 
-def test_all_methods_of_a_seed_see_the_same_pair(tmp_path):
+def test_all_methods_of_a_seed_see_the_same_pair_and_a_start_as_rough_as_stated(tmp_path):
     rows = evaluate(toy.toy_plan(), tmp_path)
     errors = {}
     for row in rows:
         errors.setdefault((row.experiment, row.seed), set()).add((row.distance, row.angle))
     assert all(len(found) == 1 for found in errors.values())
-
-
-def test_rough_start_is_as_rough_as_stated(tmp_path):
-    rows = [row for row in evaluate(toy.toy_plan(), tmp_path) if row.is_accepted]
+    rows = [row for row in rows if row.is_accepted]
     assert [row.distance for row in rows] == pytest.approx([0.3] * len(rows))
     assert [row.angle for row in rows] == pytest.approx([0.17453292519943295] * len(rows))
 
@@ -125,11 +125,6 @@ def test_what_cannot_be_run_is_left_out_and_said(tmp_path):
 def test_unknown_name_lists_those_there_are(ask):
     with pytest.raises(ConfigurationError, match=r"no (experiment|method) '\w+'; there are .*(office-z30|paper)"):
         ask()
-
-
-def test_folder_of_results_is_made_with_its_table(tmp_path):
-    evaluate(toy.toy_plan(), tmp_path / "new")
-    assert {path.name for path in Path(tmp_path / "new").iterdir()} == {"rows.jsonl", "rows.csv"}
 
 
 def test_run_out_of_time_reports_what_there_is_and_goes_on_later(tmp_path):

@@ -90,7 +90,9 @@ def test_trials_without_a_pose_are_told_and_have_no_95_percent(findings):
     assert cells[10].startswith("none")
 
 
-def test_outcomes_of_a_row_are_all_its_trials(findings):
+def test_outcomes_of_a_row_are_all_its_trials_and_all_lines_have_as_many_cells(findings):
+    for table in result_tables(findings):
+        assert {len(cells) for cells in table.rows} == {len(table.header)}, table.title
     table = result_tables(findings)[0]
     assert table.header[2:7] == ("right", "95 % interval", "wrong", "refused", "no pose")
     for cells in table.rows:
@@ -99,20 +101,11 @@ def test_outcomes_of_a_row_are_all_its_trials(findings):
             assert right + sum(map(int, cells[4:7])) == n
 
 
-def test_all_lines_of_a_table_have_as_many_cells(findings):
-    for table in result_tables(findings):
-        assert {len(cells) for cells in table.rows} == {len(table.header)}, table.title
-
-
-def test_page_says_what_was_left_out_and_what_was_typed(findings):
-    text = markdown(findings)
-    assert "Left out: experiment cea-floor1: not here." in text
+def test_page_says_what_was_typed_and_left_out_and_how_much_of_the_run_is_in_it(findings):
+    text, n = markdown(findings), len(findings.rows)
     assert text.startswith("`magmatch evaluate`")
-
-
-def test_page_says_how_much_of_the_run_is_in_it(findings):
-    n = len(findings.rows)
-    assert "Not the whole run" not in markdown(findings)
+    assert "Left out: experiment cea-floor1: not here." in text
+    assert "Not the whole run" not in text
     assert f"Not the whole run: {n} of {n + 5} trials." in markdown(replace(findings, n_planned=n + 5))
 
 
@@ -165,11 +158,8 @@ def test_where_another_is_better_it_is_said():
         "e: sift was right in 3 of 3, default in 2 of 3.",
         "e: paper had a median error of 1.0 mm, default 10.0 mm.",
     ]
-
-
-def test_where_ours_is_ahead_nothing_is_listed():
-    found = {("e", "default"): summary(0.001, 0.001), ("e", "paper"): summary(0.01, math.inf)}
-    assert shortfalls(found) == []
+    # Where ours is ahead, nothing.
+    assert shortfalls({("e", "default"): summary(0.001, 0.001), ("e", "paper"): summary(0.01, math.inf)}) == []
 
 
 def test_mapping_table_shows_field_gradient_and_coverage_and_failures(findings):

@@ -22,10 +22,8 @@ def test_rows_that_are_there_are_not_made_again(tmp_path, monkeypatch):
     assert first == {"a": length_of("a") | of_no_commit, "bb": length_of("bb") | of_no_commit}
     assert again == {"bb": length_of("bb") | of_no_commit, "ccc": {"name": "ccc", "length": -1} | of_no_commit}
     assert len(path.read_text().splitlines()) == 3
-
-
-def test_no_row_is_begun_after_the_time(tmp_path):
-    assert kept(tmp_path / "rows.jsonl", ["a"], length_of, minutes=0.0) == {}
+    # None is begun after the time.
+    assert kept(path, ["dddd"], length_of, minutes=0.0) == {}
 
 
 def test_rows_are_grouped_by_the_words_that_their_names_begin_with():
@@ -47,15 +45,11 @@ def test_options_follow_from_their_defaults(monkeypatch):
     }  # fmt: skip
 
 
-def test_script_in_a_process_of_its_own_returns_its_last_line(tmp_path, capsys):
+def test_script_in_a_process_of_its_own_returns_its_last_line_or_is_an_error(tmp_path, capsys):
     script = tmp_path / "script.py"
     script.write_text("import sys\nprint('words')\nprint(f'[{sys.argv[1]}]')\n")
     assert alone(str(script), 3) == [3]
     assert capsys.readouterr().out == "words\n"
-
-
-def test_script_that_fails_is_an_error(tmp_path):
-    script = tmp_path / "script.py"
     script.write_text("raise SystemExit(1)")
     with pytest.raises(Exception, match="non-zero exit status"):
         alone(str(script))

@@ -13,7 +13,7 @@ from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_folder
-from magmatch.cli.summaries import tell_result
+from magmatch.cli.registering import tell_result
 from magmatch.errors import MissingExtraError
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch info``: show what a file holds."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +11,8 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_result
 from magmatch.cli.narration import put
 from magmatch.cli.outputs import as_json
-from magmatch.cli.summaries import info_table, tell_result
+from magmatch.cli.registering import tell_result
+from magmatch.number_text import told
 
 EXAMPLES = (
     "magmatch info survey.csv --field-unit uT",
@@ -105,3 +107,64 @@ def _of_trajectory(path: Path, layouts: Layouts) -> dict[str, Any]:
         "high": p.max(axis=0).tolist(),
         "time": {"first": float(times[0]), "last": float(times[-1]), "duration": float(times[-1] - times[0])},
     }
+
+
+def info_table(facts: Mapping[str, Any]) -> str:
+    """Format nested facts as aligned lines."""
+    rows = list(_rows(facts))
+    width = max(len(name) for name, _ in rows)
+    return "\n".join(f"{name:{width}}  {text}" for name, text in rows)
+
+
+# Units of the facts that `info` shows, by name.
+UNITS = {
+    "pose_sd": "m", "low": "m", "high": "m", "extent": "m", "path_length": "m", "median_step": "m",
+    "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
+    "first": "s", "last": "s", "duration": "s", "rate": "Hz", "longest_gap": "s",
+    "sensor_bias_spread": "uT", "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
+    "spline": "uT", "divergence_free": "uT", "curl_free": "uT", "harmonic": "uT",
+}  # fmt: skip
+
+
+def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for name, value in facts.items():
+        label = (above + name).replace("_", " ")
+        if isinstance(value, Mapping):
+            rows += _rows(value, f"{above}{name} ")
+        elif name == "topics":
+            rows += [("topic", _topic_text(topic)) for topic in value] or [("topics", "none")]
+        elif name == "sensor_biases":
+            rows += [
+                (f"bias of {one['name']}", f"{_text(one['bias'], 'uT')} (sd {_text(one['bias_sd'], 'uT')})")
+                for one in value
+            ]
+        elif name == "warnings":
+            rows += [("warning", str(w)) for w in value] or [("warnings", "none")]
+        else:
+            # Seconds since 1970 have ten digits before the point.
+            is_moment = above.endswith("time ") and name in {"first", "last"} and value is not None
+            rows.append((label, f"{value:.3f} s" if is_moment else _text(value, UNITS.get(name, ""))))
+    return rows
+
+
+def _topic_text(topic: Mapping[str, Any]) -> str:
+    """One line of a log's contents."""
+    text = f"{topic['name']}  {topic['type']}  {topic['count']} messages"
+    if topic["rate"] is not None:
+        text += f", {topic['rate']:.4g} Hz, {topic['span'][1] - topic['span'][0]:.6g} s"
+    return text
+
+
+def _text(value: Any, unit: str) -> str:
+    match value:
+        case None:
+            return "none"
+        case bool():
+            return "yes" if value else "no"
+        case list():
+            return ", ".join(_text(v, "") if unit != "uT" else f"{1e6 * v:.4g}" for v in value) + f" {unit}".rstrip()
+        case float():
+            # To a thousandth, however large: coordinates far from their origin.
+            return f"{told(1e6 * value if unit == 'uT' else value, 6, 1e-3)} {unit}".rstrip()
+    return f"{value} {unit}".rstrip()

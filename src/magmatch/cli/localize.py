@@ -9,11 +9,10 @@ import typer
 from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of
-from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.option_values import numbers, refuse, vertical
 from magmatch.cli.outputs import as_json, check_outputs
-from magmatch.cli.settings import merged
+from magmatch.cli.settings import merged, with_limits
 
 if TYPE_CHECKING:
     from magmatch.localization.result import LocalizationResult

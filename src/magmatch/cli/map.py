@@ -12,9 +12,8 @@ import typer
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_samples, require_own_poses
 from magmatch.cli.narration import say
-from magmatch.cli.option_values import numbers, one_of, refuse
+from magmatch.cli.option_values import numbers, one_of, processes, refuse
 from magmatch.cli.outputs import check_outputs
-from magmatch.cli.processes import processes
 from magmatch.cli.settings import merged
 from magmatch.data.units import field_text
 

@@ -8,11 +8,10 @@ import typer
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_poses_of, read_survey_or_map, require_own_poses
-from magmatch.cli.option_values import refuse
+from magmatch.cli.option_values import processes, refuse
 from magmatch.cli.outputs import check_folder
-from magmatch.cli.processes import processes
 from magmatch.cli.sessions import deliver
-from magmatch.cli.settings import registration_config
+from magmatch.cli.settings import registration_config, with_prior
 
 EXAMPLES = (
     "magmatch merge monday.csv tuesday.csv friday.csv --out hall",
@@ -50,7 +49,6 @@ def merge(
 
     Exit code 0: all are in one frame; 3: not all. The result is written in either case.
     """
-    from magmatch.cli.prior import with_prior
     from magmatch.registration.maps import survey_of
     from magmatch.slam.merge import merge as merged
     from magmatch.slam.output.folder import require_folder, unfinished

@@ -12,13 +12,10 @@ import typer
 from magmatch.cli.boundary import DONE, NOT_ACCEPTED
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
-from magmatch.cli.limits import with_limits
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import as_json, check_folder, check_outputs
-from magmatch.cli.prior import with_prior
-from magmatch.cli.registering import with_help, with_wait
-from magmatch.cli.settings import registration_config
-from magmatch.cli.summaries import tell_result
+from magmatch.cli.registering import tell_result, with_help, with_wait
+from magmatch.cli.settings import registration_config, with_limits, with_prior
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
@@ -127,8 +124,10 @@ def register(
         # If no map of a folder fits, there is nothing to draw; the report then has text only.
         target_map = None if base_map is None else as_map(mapped, settings.field)
         published = settings.keypoints if settings.search == "keypoints" else None
+        words = ["magmatch", "register", str(base), str(target), *layouts.words()]
+        again = shlex.join([*words, "--config", "settings.yaml", "--seed", str(seed)])
         if report is not None:
-            write_report(report, base_map, target_map, result, command_again(base, target, layouts, seed), published)
+            write_report(report, base_map, target_map, result, again, published)
         if figures is not None and base_map is not None and target_map is not None:
             from magmatch.viz.images import registration_figures, write_images
 
@@ -137,12 +136,6 @@ def register(
         put(as_json(result.to_dict()))
     say(tell_result(result, out, report, figures if base_map is not None else None))
     return DONE if result.is_accepted else NOT_ACCEPTED
-
-
-def command_again(base: Path, target: Path, layouts: Layouts, seed: int) -> str:
-    """Command line that reproduces the result, with the resolved settings in settings.yaml."""
-    words = ["magmatch", "register", str(base), str(target), *layouts.words()]
-    return shlex.join([*words, "--config", "settings.yaml", "--seed", str(seed)])
 
 
 def _register(

@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Configuration from a preset and a YAML file; errors name the setting."""
+"""Configuration from a preset, a YAML file and options; errors name the setting or the option."""
 
 import json
 from collections.abc import Sequence
 from contextlib import suppress
 from difflib import get_close_matches
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from magmatch.cli.option_values import one_of
+from magmatch.cli.inputs import read_result
+from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.errors import ConfigurationError, DataFormatError, first_fault
 from magmatch.settings import over
 
 if TYPE_CHECKING:
+    from magmatch.localization.config import LocalizerConfig
     from magmatch.registration.config import RegistrationConfig
 
 Config = TypeVar("Config", bound=BaseModel)
+Decided = TypeVar("Decided", "RegistrationConfig", "LocalizerConfig")
 # Schemas of results, which hold the settings they were made with.
 RESULTS = ("magmatch.registration/", "magmatch.slam/", "magmatch.localization/")
 # What can be estimated between the two magnetometers; 'auto' leaves it to the configuration.
@@ -56,6 +60,78 @@ def merged(config: Config, path: Path | None, part: str = "") -> Config:
         if first["type"] == "extra_forbidden":
             words = _known_names(type(config), first["loc"])
         raise DataFormatError(path, words, column=place) from None
+
+
+def with_limits(config: Decided, min_probability: float | None, max_sd: str | None) -> Decided:
+    """Put the minimum probability and the maximum standard deviation into the settings."""
+    said: dict[str, Any] = {}
+    if min_probability is not None:
+        if not 0 < min_probability < 1:
+            refuse("--min-probability", "a number between 0 and 1, such as 0.99", f"{min_probability:g}")
+        said["min_probability"] = min_probability
+    if max_sd is not None:
+        said["max_sd_translation"], said["max_sd_rotation"] = _spread("--max-sd", max_sd, "0.1,2")
+    if not said:
+        return config
+    if getattr(config, "search", None) == "keypoints":
+        msg = "--min-probability and --max-sd: the published method decides by its fitness and uses neither"
+        raise ConfigurationError(msg)
+    return type(config).model_validate(config.model_dump() | {"decision": config.decision.model_dump() | said})
+
+
+def with_prior(
+    config: "RegistrationConfig",
+    pose: str | None,
+    pose_sd: str | None,
+    is_aligned: bool,
+    gravity_sd: float | None,
+    is_planar: bool,
+) -> "RegistrationConfig":
+    """Put the pose prior into the settings."""
+    said: dict[str, Any] = {}
+    if pose is not None:
+        said["pose"] = _prior_pose(pose)
+    if pose_sd is not None:
+        if pose is None and config.prior.pose is None:
+            msg = "--prior-pose-sd: there is no rough pose; give --prior-pose too"
+            raise ConfigurationError(msg)
+        said["sd_translation"], said["sd_rotation"] = _spread("--prior-pose-sd", pose_sd, "1,10")
+    known = is_aligned or is_planar or config.prior.is_gravity_aligned or config.prior.is_planar
+    if gravity_sd is not None and not known:
+        msg = "--gravity-sd: give --gravity-aligned or --planar too"
+        raise ConfigurationError(msg)
+    said |= {name: True for name, yes in (("is_gravity_aligned", is_aligned), ("is_planar", is_planar)) if yes}
+    said |= {} if gravity_sd is None else {"gravity_sd": radians(gravity_sd)}
+    if not said:
+        return config
+    if config.search == "keypoints":
+        msg = "--prior-pose, --gravity-aligned and --planar: these settings search by keypoints, which use no prior"
+        raise ConfigurationError(msg)
+    return type(config).model_validate(config.model_dump() | {"prior": config.prior.model_dump() | said})
+
+
+def _prior_pose(text: str) -> tuple[float, ...]:
+    """Seven numbers, as given, or the pose of a result: its best candidate if it was not accepted."""
+    if "," not in text or Path(text).is_file():
+        T = read_result(Path(text)).best_pose
+        if T is None:
+            msg = f"--prior-pose: {text} holds no pose, accepted or not"
+            raise ConfigurationError(msg)
+        return (*map(float, T.translation), *map(float, T.rotation.as_quat()))
+    x, y, z, *q = numbers("--prior-pose", text, 7, "x,y,z,qx,qy,qz,qw (m; a unit quaternion) or a result's file")
+    norm = sum(c * c for c in q) ** 0.5
+    if not 0.99 < norm < 1.01:
+        msg = f"--prior-pose: expected a unit quaternion qx,qy,qz,qw, found one of length {norm:.3g}"
+        raise ConfigurationError(msg)
+    return (x, y, z, *(c / norm for c in q))
+
+
+def _spread(option: str, text: str, example: str) -> tuple[float, float]:
+    """Metres above 0, and degrees above 0 as rad."""
+    metres, degrees = numbers(option, text, 2, f"metres,degrees, both above 0, such as {example}")
+    if metres <= 0 or not 0 < degrees <= 180:
+        refuse(option, "metres above 0 and degrees from 0 to 180", text)
+    return metres, radians(degrees)
 
 
 def read_settings(path: Path) -> dict[str, Any]:

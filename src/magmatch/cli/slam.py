@@ -10,9 +10,8 @@ import typer
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import logs_in, read_poses_of, require_own_poses
 from magmatch.cli.narration import say
-from magmatch.cli.option_values import numbers, refuse, vertical
+from magmatch.cli.option_values import numbers, processes, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
-from magmatch.cli.processes import processes
 from magmatch.cli.sessions import deliver, require_recording
 from magmatch.cli.settings import merged
 
