@@ -80,7 +80,7 @@ def _noise(task: TileTask, seen: Indices, cells: CellGrid, seeds: range) -> np.n
     names = _names(SAMPLE, seen[inside, None])
     # Phi^T e with white e has covariance Phi^T Phi, as the samples' information does.
     white = np.stack([normals(seed, names, 3) for seed in seeds], axis=2)
-    return z + right_hand_sides(cells, points[inside], white)
+    return np.asarray(z + right_hand_sides(cells, points[inside], white))
 
 
 @lru_cache(maxsize=8)
