@@ -11,7 +11,7 @@ import numpy as np
 
 from magmatch import Survey, simulate
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.write_pair import write_pair
+from magmatch.simulation.simulate import write_pair
 from magmatch_evaluation.script import arguments
 
 HOME = Path(__file__).parents[1] / "src/magmatch/data/samples/office"

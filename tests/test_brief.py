@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from magmatch.brief import brief
-from magmatch.features.features import Features
+from magmatch.features.extract import Features
 from magmatch.field.values import FieldValues
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.result import LocalizationResult, LocalizationStatus

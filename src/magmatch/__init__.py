@@ -27,8 +27,7 @@ if TYPE_CHECKING:
         SurveyError,
         TaskError,
     )
-    from magmatch.features.extract import extract_features
-    from magmatch.features.features import Features
+    from magmatch.features.extract import Features, extract_features
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
     from magmatch.field.hyperparameters import Hyperparameters
@@ -76,8 +75,7 @@ _NAMES = {
     "data.survey": "Survey",
     "data.trajectory": "Trajectory",
     "errors": "ConfigurationError DataFormatError DatasetError MagmatchError MissingExtraError SurveyError TaskError",
-    "features.extract": "extract_features",
-    "features.features": "Features",
+    "features.extract": "Features extract_features",
     "field.build": "build_map",
     "field.config": "FieldConfig",
     "field.hyperparameters": "Hyperparameters",

@@ -9,8 +9,7 @@ import pytest
 
 from magmatch.cli.main import main
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.simulate import simulate
-from magmatch.simulation.write_pair import write_pair
+from magmatch.simulation.simulate import simulate, write_pair
 
 
 @dataclass(frozen=True)

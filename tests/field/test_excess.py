@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from magmatch.data.survey import Survey
+from magmatch.field import choose_prior as choice
 from magmatch.field.build import build_map
+from magmatch.field.choose_prior import PriorCandidate
 from magmatch.field.config import FieldConfig
 from magmatch.field.excess import excess
-from magmatch.field.prior_choice import choose_prior as choice
-from magmatch.field.prior_choice.cross_validation import PriorCandidate
 from magmatch.field.priors import PRIORS
 
 # Huge charges far away: the prior that a rough field along lines asked for.

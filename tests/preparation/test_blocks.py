@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magmatch.preparation.blocks import CHANNEL, channel_blocks, model_of, sensor_blocks
-from magmatch.preparation.sensor_model import MISALIGNMENT_BASIS, SOFT_IRON_BASIS, SensorCorrection
+from magmatch.preparation.sensor_model import (
+    CHANNEL,
+    MISALIGNMENT_BASIS,
+    SOFT_IRON_BASIS,
+    SensorCorrection,
+    channel_blocks,
+    model_of,
+    sensor_blocks,
+)
 
 RNG = np.random.default_rng(0)
 ATTITUDES = Rotation.random(30, random_state=RNG)

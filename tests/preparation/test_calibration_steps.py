@@ -7,13 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.preparation.blocks import CHANNEL, model_of
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.least_squares import Solution
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorCorrection
+from magmatch.preparation.sensor_model import CHANNEL, SensorCorrection, model_of
 
 SURVEY = Survey(np.arange(9.0).reshape(3, 3), np.full((3, 3), 2e-5), orientations=Rotation.identity(3))
 LOG = SensorLog.of(SURVEY, None)

@@ -14,8 +14,7 @@ from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import SCENARIOS, build_scene
 from magmatch.simulation.scene import Streams
-from magmatch.simulation.simulate import simulate
-from magmatch.simulation.write_pair import write_pair
+from magmatch.simulation.simulate import simulate, write_pair
 
 
 @pytest.mark.parametrize("scenario", sorted(SCENARIOS))

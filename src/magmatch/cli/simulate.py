@@ -36,7 +36,7 @@ def simulate(
         raise ConfigurationError(msg)
     check_folder(out)
     from magmatch.simulation.simulate import simulate as run
-    from magmatch.simulation.write_pair import write_pair
+    from magmatch.simulation.simulate import write_pair
 
     pair = run(scenario, seed)
     write_pair(pair, out)

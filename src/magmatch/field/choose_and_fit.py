@@ -6,13 +6,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.field.choose_prior import PREFERRED, choose_numbers, choose_prior
 from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
 from magmatch.field.fit import fit_unbounded, within
 from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.map import FieldMap
-from magmatch.field.prior_choice.choose_hyperparameters import choose_numbers
-from magmatch.field.prior_choice.choose_prior import PREFERRED, choose_prior
 from magmatch.field.priors import prior_over
 from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, shared_errors, solve_biases
 from magmatch.progress import tell

@@ -156,10 +156,3 @@ class Prior(Protocol):
 
     def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> LinearModel:
         """Place the basis over the region of the points."""
-
-
-class DensePrior(Prior, Protocol):
-    """A prior whose cost grows with the cube of its weights: not every survey can afford it."""
-
-    def is_affordable(self, points: Points, field: Vectors) -> bool:
-        """Whether such a survey can be fitted in tens of seconds without smoothing it for want of weights."""

@@ -9,13 +9,19 @@ import numpy as np
 from magmatch.estimation.gauss_newton import student_weights
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
-from magmatch.preparation.blocks import CHANNEL, PIECE, channel_blocks, model_of, sensor_blocks
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
 from magmatch.preparation.least_squares import ParameterBlock, Solution, System
 from magmatch.preparation.plausible import why_no_sensor
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorCorrection
+from magmatch.preparation.sensor_model import (
+    CHANNEL,
+    PIECE,
+    SensorCorrection,
+    channel_blocks,
+    model_of,
+    sensor_blocks,
+)
 from magmatch.preparation.time_offset import coarse_settings, search_time_offset
 from magmatch.progress import tell
 from magmatch.threads import single_threaded

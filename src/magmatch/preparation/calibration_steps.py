@@ -5,12 +5,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from magmatch.preparation.blocks import CHANNEL
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorCorrection
+from magmatch.preparation.sensor_model import CHANNEL, SensorCorrection
 from magmatch.typing import Scalars
 
 AXES = ("x", "y", "z")

@@ -7,11 +7,11 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from magmatch.data.sensor_axes import find_repeats
-from magmatch.preparation.blocks import CHANNEL, PIECE
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.disturbances import find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.sensor_model import CHANNEL, PIECE
 from magmatch.typing import Indices, Scalars, Vector3, Vectors
 
 # Readings to either side that a jump is held against, how many times it exceeds the largest change among them, and

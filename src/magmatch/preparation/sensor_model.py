@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Correction of a magnetometer, ``b_true = M b_read - d`` in the sensor's frame, and of its clock."""
+"""Correction of a magnetometer, ``b_true = M b_read - d`` in the sensor's frame, and of its clock.
+
+What a unit of each error changes in the field of a survey is a column of the least-squares problem.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,8 +11,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.typing import Matrix, Vector3, Vectors
+from magmatch.preparation.least_squares import ParameterBlock
+from magmatch.typing import Matrix, Scalars, Tensors, Vector3, Vectors
 
+CHANNEL = "channel "
+# Channels that stand for pieces of a log, between jumps of its sensor's own calibration, begin with this.
+PIECE = "recalibrated piece "
 # Symmetric matrices without trace (the trace would be a common scale, which no survey alone can tell from a stronger
 # field). Coefficients are entries: half the difference of xx and yy, then zz, xy, xz and yz.
 SOFT_IRON_BASIS = np.array(
@@ -92,3 +99,42 @@ class SensorCorrection:
             if channels is not None and name in channels:
                 field_sensor = field_sensor - channels[name][:, None] * coefficient
         return field_sensor
+
+
+def sensor_blocks(R: Tensors, readings: Vectors, sizes: Mapping[str, float]) -> dict[str, ParameterBlock]:
+    """Columns of the sensor's own errors."""
+    columns = {}
+    if "hard_iron" in sizes:
+        columns["hard_iron"] = -np.moveaxis(R, 2, 0)
+    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
+        if name in sizes:
+            columns[name] = np.einsum("nij,kjl,nl->kni", R, basis, readings, optimize=True)
+    return {name: ParameterBlock(values, sizes[name]) for name, values in columns.items()}
+
+
+def channel_blocks(R: Tensors, channels: Mapping[str, Scalars], size: float) -> dict[str, ParameterBlock]:
+    """Columns of disturbances that follow other channels: ``-R k I``, per standard deviation of the channel."""
+    blocks = {}
+    for name, values in channels.items():
+        spread = float(values.std())
+        if spread > 1e-9 * max(float(np.abs(values).max(initial=0.0)), 1e-300):
+            columns = -np.moveaxis(R, 2, 0) * ((values - values.mean()) / spread)[:, None]
+            blocks[CHANNEL + name] = ParameterBlock(columns, size)
+    return blocks
+
+
+def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]) -> SensorCorrection:
+    """Sensor model of the estimated unknowns; what was not estimated is taken to be perfect."""
+    matrix, shift = np.eye(3), np.zeros(3)
+    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
+        if name in estimate:
+            matrix = matrix + np.einsum("k,kij->ij", estimate[name], basis)
+    if "hard_iron" in estimate:
+        shift = shift + estimate["hard_iron"]
+    currents = {}
+    for name, values in channels.items():
+        if CHANNEL + name in estimate:
+            currents[name] = estimate[CHANNEL + name] / values.std()
+            shift = shift - currents[name] * values.mean()
+    offset = float(estimate["time_offset"][0]) if "time_offset" in estimate else 0.0
+    return SensorCorrection(matrix, shift, offset, currents)

@@ -7,10 +7,10 @@ import numpy as np
 
 from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.preparation.blocks import sensor_blocks
 from magmatch.preparation.consistency import LENGTHSCALE_IN_SPACINGS, MapConsistency
 from magmatch.preparation.least_squares import N_STRETCHES, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
+from magmatch.preparation.sensor_model import sensor_blocks
 from magmatch.typing import Points, Scalars
 
 # s, of the first and of the second pass; dips of the curve are some 0.3 s wide, as long as a hand takes to turn.

@@ -8,7 +8,7 @@ matcher of your own if you give one: ``examples/06_own_descriptor.py``. What dif
 """
 
 from magmatch.features.descriptors import describe
-from magmatch.features.features import Features
+from magmatch.features.extract import Features
 from magmatch.features.infer import Inferred, infer
 from magmatch.features.keypoints import detect
 from magmatch.features.local_frames import LocalFrames, local_frames

@@ -8,7 +8,7 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.estimation.candidate_poses import distinct_poses
-from magmatch.features.features import Features
+from magmatch.features.extract import Features
 from magmatch.geometry import rotation_matrix, transform_of, unit_vectors
 from magmatch.published.matching import Matches
 from magmatch.settings import Settings

@@ -14,8 +14,7 @@ from magmatch.data.checks import ADVICE
 from magmatch.data.survey import Survey
 from magmatch.features.config import FeatureConfig
 from magmatch.features.descriptors import component_range, describe
-from magmatch.features.extract import features_of
-from magmatch.features.features import Features
+from magmatch.features.extract import Features, features_of
 from magmatch.features.infer import Inferred, grid_spacing, infer
 from magmatch.features.keypoints import detect
 from magmatch.features.local_frames import LocalFrames, local_frames

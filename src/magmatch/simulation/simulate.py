@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`simulate`: a named scenario in, two surveys and the exact transform between them out."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from magmatch._version import __version__
 from magmatch.arguments import expect_kind
+from magmatch.atomic import atomic_write
 from magmatch.data.survey import Survey
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import Source, field_of
@@ -13,6 +17,24 @@ from magmatch.simulation.paths import SensorPath
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import SimulatedPair, Streams
 from magmatch.typing import Points, Vector3, Vectors
+
+
+def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
+    """Write ``base.csv``, ``target.csv`` and, last, ``truth.json``, each whole or not at all."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    truth = {
+        "T_base_target": pair.T_base_target.as_matrix().tolist(),
+        "accept": pair.accept,
+        "scenario": pair.scenario,
+        "seed": pair.seed,
+        "version": __version__,
+        "config": pair.config.model_dump(mode="json"),
+    }
+    pair.base.save(folder / "base.csv")
+    pair.target.save(folder / "target.csv")
+    with atomic_write(folder / "truth.json") as stream:
+        stream.write(json.dumps(truth, indent=2).encode() + b"\n")
 
 
 def measure(

@@ -10,10 +10,10 @@ from magmatch.data.survey import Survey
 from magmatch.estimation.cubes import even_choice
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.walk import BIN_LENGTH, bin_along_path, bin_means
+from magmatch.field.choose_prior import likely_numbers
 from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.prior_choice.choose_hyperparameters import likely_numbers
 from magmatch.field.priors import PRIORS
 from magmatch.geometry import path_moved, path_walked
 from magmatch.registration.prepared.prepared_map import correlation_length_of

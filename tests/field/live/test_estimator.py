@@ -284,6 +284,7 @@ CRAFTED = {
     "other columns": lambda a, r: (a, r | {"sums": np.zeros((len(r["sums"]), N_SUMS - 1))}),
     "NaN": lambda a, r: (a, r | {"moments": np.full((4, 3), np.nan)}),
     "moments missing": lambda a, r: (a, {k: v for k, v in r.items() if k != "moments"}),
+    "moments of too few rows": lambda a, r: (a, r | {"moments": r["moments"][:3]}),
     "unknown array": lambda a, r: (a, r | {"other": np.zeros((1, 3))}),
 }
 

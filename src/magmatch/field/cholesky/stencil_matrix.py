@@ -38,15 +38,9 @@ class StencilMatrix:
         out = np.zeros(len(x))
         shifts = cells.stencil_shifts()[HALF_STENCIL - 1 :]
         _multiply(
-            cells.flat_nodes(),
-            shifts,
-            cells.node_index.ravel(),
-            self.stencil,
-            self.border,
-            self.corner,
-            np.ascontiguousarray(x),
-            out,
-        )
+            cells.flat_nodes(), shifts, cells.node_index.ravel(), self.stencil, self.border, self.corner,
+            np.ascontiguousarray(x), out,
+        )  # fmt: skip
         return out
 
 
@@ -63,20 +57,8 @@ def _add_element(stencil, element, weights, cell_nodes, half_offset):  # type: i
         w = weights[n]
         for a in range(64):
             p = cell_nodes[n, a]
-            last = 4 * (a // 4) + 4
-            for b in range(a, last):
+            for b in range(a, 64):
                 stencil[p, half_offset[a, b]] += w * element[a, b]
-            # Four splines along z are neighbours in memory: one instruction.
-            for b in range(last, 64, 4):
-                k = half_offset[a, b]
-                s0, s1, s2, s3 = stencil[p, k], stencil[p, k + 1], stencil[p, k + 2], stencil[p, k + 3]
-                e0, e1, e2, e3 = element[a, b], element[a, b + 1], element[a, b + 2], element[a, b + 3]
-                stencil[p, k], stencil[p, k + 1], stencil[p, k + 2], stencil[p, k + 3] = (
-                    s0 + w * e0,
-                    s1 + w * e1,
-                    s2 + w * e2,
-                    s3 + w * e3,
-                )
 
 
 @compiled

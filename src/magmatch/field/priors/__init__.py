@@ -2,12 +2,14 @@
 """Families of field models, one file each; this table is what configuration names refer to."""
 
 from magmatch.field.domain import Box
-from magmatch.field.linear_model import DensePrior, Prior
+from magmatch.field.inducing.inducing_prior import InducingPrior
+from magmatch.field.linear_model import Prior
 from magmatch.field.priors.gaussian import CurlFreePrior, DivergenceFreePrior
 from magmatch.field.priors.harmonic import HarmonicPrior
 from magmatch.field.priors.spline import SplinePrior
 
-DENSE_PRIORS: dict[str, DensePrior] = {
+# Their cost grows with the cube of their weights: not every survey can afford them.
+DENSE_PRIORS: dict[str, InducingPrior | HarmonicPrior] = {
     "divergence_free": DivergenceFreePrior(),
     "curl_free": CurlFreePrior(),
     "harmonic": HarmonicPrior(),

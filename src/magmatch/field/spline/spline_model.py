@@ -2,8 +2,8 @@
 """The spline potential as a linear model: cells, information of samples, posterior."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -125,7 +125,7 @@ class SplineModel:
         return information.gram + self.prior_precision()
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class SplinePosterior:
     """A fitted spline potential."""
 
@@ -133,7 +133,6 @@ class SplinePosterior:
     cells: CellGrid
     factors: Factors  # of the posterior precision times the noise variance; the mean does without
     weights: np.ndarray  # (m + 3,), T: posterior mean
-    _inverse: list[StencilMatrix] = field(default_factory=list, init=False, repr=False)
 
     @property
     def weights_by_tile(self) -> Mapping[Index, Scalars]:
@@ -168,7 +167,7 @@ class SplinePosterior:
         if solve_operations(e, unknowns, n_rows) < affordable:
             out = marginal_covariances(factor, unknowns, self._rows(cell, t, derivatives))
         else:
-            inverse, out = self._selected_inverse(), np.zeros((len(cell), n_rows, n_rows))
+            inverse, out = self._selected_inverse, np.zeros((len(cell), n_rows, n_rows))
             point_covariances(
                 np.argsort(cell, kind="stable"), cell, t, self.cells.cell_nodes, derivatives, self.cells.spacing,
                 HALF_OFFSET, inverse.stencil, inverse.border, inverse.corner, out,
@@ -213,11 +212,10 @@ class SplinePosterior:
         """Whether each point lies in an active cell."""
         return np.asarray(self.cells.locate(points)[0] >= 0)
 
+    @cached_property
     def _selected_inverse(self) -> StencilMatrix:
-        """Compute once, on first use: it costs about twice a factorisation."""
-        if not self._inverse:
-            self._inverse.append(selected_inverse(self.factors.full))
-        return self._inverse[0]
+        """It costs about twice a factorisation."""
+        return selected_inverse(self.factors.full)
 
     def _unknowns(self, cell: np.ndarray) -> np.ndarray:
         """Unknowns of each point's cell (any cell's where it has none), then the constant: (n, 67)."""

@@ -15,6 +15,7 @@ error of a weighted mean is at most the weighted mean of the squared errors, by 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,7 @@ from magmatch.typing import Mask, Points, Scalars, Vector3
 FACTORED_BYTES = 8e8
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class TiledPosterior:
     """A fitted field of many tiles; fills `magmatch.field.linear_model.Posterior`.
 
@@ -44,7 +45,6 @@ class TiledPosterior:
     tasks: TileTasks
     tile_weights: list[Scalars]
     factored_tiles: TileCache = field(default_factory=lambda: TileCache(FACTORED_BYTES), repr=False)
-    _keys: list[TileKeys] = field(default_factory=list, init=False, repr=False)
     _ready: TileCache = field(default_factory=TileCache, init=False, repr=False)
 
     @property
@@ -132,7 +132,7 @@ class TiledPosterior:
     def knows(self, points: Points) -> Mask:
         """Whether each point lies in an active cell."""
         known = np.zeros(len(points), dtype=bool)
-        for number, rows in self.tiling.blended(points, self._tile_keys()):
+        for number, rows in self.tiling.blended(points, self._keys):
             known[rows] |= self.tile(number).knows(points[rows])
         return known
 
@@ -146,9 +146,8 @@ class TiledPosterior:
 
     def _shares(self, points: Points, order: int) -> Iterator[Share]:
         """Each tile with a say at some points."""
-        return tile_shares(self.tiling, self.tiles, self._tile_keys(), points, order)
+        return tile_shares(self.tiling, self.tiles, self._keys, points, order)
 
-    def _tile_keys(self) -> TileKeys:
-        if not self._keys:
-            self._keys.append(TileKeys(self.tiles))
-        return self._keys[0]
+    @cached_property
+    def _keys(self) -> TileKeys:
+        return TileKeys(self.tiles)

@@ -6,14 +6,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
+from magmatch.field import choose_prior as choice
 from magmatch.field.build import build_map
+from magmatch.field.choose_prior import PriorCandidate, choose_all_numbers, compare, compare_on_the_rest
 from magmatch.field.config import FieldConfig
 from magmatch.field.folds import divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
-from magmatch.field.prior_choice import choose_prior as choice
-from magmatch.field.prior_choice.choose_hyperparameters import choose_all_numbers
-from magmatch.field.prior_choice.cross_validation import PriorCandidate, compare, compare_on_the_rest
 from magmatch.field.priors import DENSE_PRIORS, PRIORS
 from magmatch.field.variogram import typical_length
 
