@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
+from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, STEP, follow
 from magmatch.localization.state import hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import OutsidePenalty, covariance_of, evidence, forget, weigh
@@ -141,6 +142,16 @@ def test_of_several_drifts_the_likeliest_is_capped_and_the_others_stay_behind(kn
     bank["earlier"] = [7.0, 9.0, 1.0]
     forget(steps, fit, null, known, OutsidePenalty(0.0, 3, 4.0), bank)
     np.testing.assert_allclose(bank["earlier"] - bank["earlier"][1], [-2.0, 0.0, -4.0], atol=1e-9)
+
+
+def test_a_pose_is_known_no_better_than_the_maps_own_positions_are_stated_to_be(place, known):
+    for pose_sd, least in ((1.5, 1.5), (0.001, known.noise.drift_sd)):
+        survey = replace(place.field_map.survey, pose_sd=pose_sd)
+        base = replace(place.base, field_map=replace(place.field_map, survey=survey))
+        stated = KnownMap.of(replace(place, base=base))
+        exact = hypotheses(1)
+        exact["P"] = 0.0
+        np.testing.assert_allclose(covariance_of(exact, stated, 1.0)[3:, 3:], least**2 * np.eye(3), atol=1e-12)
 
 
 def test_evidence_counts_by_the_share_of_the_fields_variance_that_a_map_explains(known):

@@ -92,7 +92,9 @@ class KnownMap:
         sd = values[..., 3]
         sd /= np.sqrt(1 + np.maximum(sd * noise.map_factor / field_sd, 0) ** 2)
         R = np.ascontiguousarray(rotation_matrix(base.T_map_model).T)
-        up, bent = np.ascontiguousarray(R[:, 2]), np.diag(np.repeat([noise.attitude_sd**2, noise.drift_sd**2], 3))
+        # An error that a whole log of the map shares shows in none of its stretches: it counts as stated.
+        place_sd = max(noise.drift_sd, base.field_map.survey.pose_sd)
+        up, bent = np.ascontiguousarray(R[:, 2]), np.diag(np.repeat([noise.attitude_sd**2, place_sd**2], 3))
         return cls(
             index,
             base.field_map.survey.name,
