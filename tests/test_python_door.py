@@ -153,6 +153,7 @@ BAD_SURVEYS = {
     "empty": (lambda s: mm.Survey(np.zeros((0, 3)), np.zeros((0, 3))), "at least 1"),
     "field for fewer": (lambda s: mm.Survey(s.positions, s.field[:5]), r"(40, 3) and (5, 3)"),
     "times backward": (lambda s: mm.Survey(s.positions, s.field, s.times[::-1]), "runs backward"),
+    "times repeat": (lambda s: mm.Survey(s.positions, s.field, s.times // 2), "time repeats at sample 1"),
     "times as dates": (lambda s: mm.Survey(s.positions, s.field, s.times.astype("M8[s]")), "seconds"),
     "quaternions": (lambda s: mm.Survey(s.positions, s.field, None, np.zeros((N, 4))), "Rotation.from_quat"),
     "one rotation": (lambda s: mm.Survey(s.positions, s.field, None, Rotation.identity()), "each of 40 samples"),
