@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from surveyed_walks import Walk, at
+from surveyed_walks import Walk, at, points_of_walks
 
-from magmatch.data.formats.phones.read import read_phone_log
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments
 
@@ -152,9 +151,8 @@ def row(name: str, found: list[Compared]) -> list[object]:
 def main() -> None:
     asked = arguments(__doc__, data=Path("../shared/data/xyz10"), floor="F2", save=saver)
     logging.getLogger("magmatch").setLevel(logging.ERROR)
-    files = sorted((asked.data / asked.floor).glob("*.txt*"))
-    every = {path: read_phone_log(path, ("field",), with_points=True).points for path in files}
-    walks = [Walk.of(path, some) for path, some in every.items() if some is not None and len(some.times) > 1]
+    points = points_of_walks(asked.data / asked.floor)
+    walks = [Walk.of(path, some) for path, some in points.items() if len(some.times) > 1]
     lines = [line for line in map(Line.of, walks) if line is not None]
     found, chance = compared(lines), compared(lines, np.random.default_rng(0))
     show(COLUMNS, [row("beside by their points", found), row("by chance", chance)], asked.save)

@@ -42,6 +42,14 @@ BESIDE, EVERY = 0.7, 5  # m between samples that pass one place, of each fifth
 NEAR, LEAST = 2.0, 4  # m between walks that pass one place; points of a walk from which some can be left out
 
 
+def points_of_walks(folder: Path) -> dict[Path, SurveyedPoints]:
+    """The surveyed points of each log that holds any."""
+    found = (
+        (path, read_phone_log(path, ("field",), with_points=True).points) for path in sorted(folder.glob("*.txt*"))
+    )
+    return {path: points for path, points in found if points is not None}
+
+
 def line_through(points: SurveyedPoints) -> np.ndarray:
     """Places every half metre on the line through a walk's points, (n, 2)."""
     places = points.places[np.argsort(points.times)]
@@ -149,9 +157,7 @@ class Walk:
 def main() -> None:
     asked = arguments(__doc__, data=Path("../shared/data/xyz10"), floor="F2", walks=10, save=saver)
     logging.getLogger("magmatch").setLevel(logging.ERROR)
-    files = sorted((asked.data / asked.floor).glob("*.txt*"))
-    every = {path: read_phone_log(path, ("field",), with_points=True).points for path in files}
-    points = {path: some for path, some in every.items() if some is not None}
+    points = points_of_walks(asked.data / asked.floor)
     paths = chosen(points, asked.walks)
     walks = [Walk.of(path, points[path]) for path in paths]
     told, surveys = [a for w in walks for a in w.anchors], [w.survey for w in walks]

@@ -153,11 +153,10 @@ def _is_worse(one: FrameMistake, found: Found, parts: "Sequence[_Judged]", *, fr
 def _parts(points: Points, conventions: Mapping[str, Turned]) -> "list[_Judged]":
     """The scatter in each part of a survey."""
     ends = [len(points) * k // N_PARTS for k in range(N_PARTS + 1)]
+    parts = [slice(start, end) for start, end in pairwise(ends)]
     return [
-        _Judged.of(
-            points[start:end], {name: one.subset(*2 * [slice(start, end)]) for name, one in conventions.items()}
-        )
-        for start, end in pairwise(ends)
+        _Judged.of(points[part], {name: one.subset(part, part) for name, one in conventions.items()})
+        for part in parts
     ]
 
 

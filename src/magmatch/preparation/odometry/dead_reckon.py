@@ -15,6 +15,8 @@ from magmatch.number_text import many
 from magmatch.preparation.odometry.config import DeadReckoningConfig
 from magmatch.typing import Indices, Scalars, Vectors
 
+log = logging.getLogger(__name__)
+
 # Steps: peaks of the vertical acceleration below this frequency (Hz), so far apart (s), so high above the valleys
 # beside them (m/s^2). People walk at 1.4 to 2.5 steps a second.
 STEP_FREQUENCY, STEP_INTERVAL, STEP_PROMINENCE = 3.0, 0.35, 1.0
@@ -93,8 +95,6 @@ def attitude(rate: Vectors, acceleration: Vectors, readings_per_second: float) -
     )
     return Rotation.from_quat(found["quat6D"], scalar_first=True)
 
-
-log = logging.getLogger(__name__)
 
 # Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.
 RATE = 100.0

@@ -160,10 +160,8 @@ def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) 
     p_target = target.positions[draw.thinned(len(target), MAX_SWEPT)]
     lain = [transform_points(p_target, T) for T in poses]
     cut = cut_through(np.concatenate([base.positions, *lain]))
-    dots, p_base = (
-        {"size": 3, "color": draw.BASE_COLOR, "opacity": 0.35},
-        base.positions[draw.thinned(len(base), MAX_SWEPT)],
-    )
+    dots = {"size": 3, "color": draw.BASE_COLOR, "opacity": 0.35}
+    p_base = base.positions[draw.thinned(len(base), MAX_SWEPT)]
     traces = [draw.flat(cut.along(p_base), marker=dots, name=f"base: {draw.label(base.name)}", hoverinfo="skip")]
     for k, p in enumerate(lain):
         line = {"color": draw.TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": DASHES[k % len(DASHES)]}
