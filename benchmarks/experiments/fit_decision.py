@@ -169,7 +169,7 @@ def names(asked: Any) -> Iterator[str]:
         yield from (f"room {kind} {asked.first + 20000 + k}" for kind in KINDS)
     for k, floor, length in product(range(asked.skip, asked.skip + asked.walks), (1, 2), asked.lengths):
         yield from (f"walk {base} {floor} {length} {k}" for base in ("training", f"training-floor{3 - floor}"))
-    for k in range(asked.areas):
+    for k in range(asked.skip, asked.skip + asked.areas):
         yield from (f"area {floor} {k}" for floor in (1, 2))
 
 
