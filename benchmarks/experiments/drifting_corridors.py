@@ -1,16 +1,20 @@
 """Corridors walked twice, blind: how often the pose is found, by how far positions drift.
 
-    python benchmarks/experiments/drifting_corridors.py [--seeds 40] [--first 0] [--drifts 0 0.02 0.05 0.1]
-        [--quick] [--save NAME]
+    python benchmarks/experiments/drifting_corridors.py --out DIR [--seeds 40] [--first 0]
+        [--drifts 0 0.02 0.05 0.1] [--jobs 2] [--quick] [--save NAME]
 
 Drift is in metres per square root of a metre, of both walks. Right: accepted, within three stated standard
 deviations in every direction together (chi-square of six). Inaccurate: refused for accuracy alone. Wrong: accepted,
 more than 1.5 m or 8 degrees off. NEES: normalised estimation error squared of accepted poses, over 6: 1 where
 covariances are right. Errors are of accepted poses, at the target's centre. The last row registers each target with
-the corridor before it, which is another one. ``--quick``: a quarter of the seeds.
+the corridor of the next seed, which is another one. Rows stay in DIR, a second run goes on where the first
+ended. ``--quick``: a quarter of the seeds.
 """
 
 import logging
+import os
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 from scipy.special import chdtri
@@ -20,9 +24,9 @@ from magmatch.field.config import SPLINE
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.simulation.config import SimulationConfig
-from magmatch.simulation.simulate import SimulatedPair
+from magmatch.simulation.scene import SimulatedPair
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import arguments, pose_error
+from magmatch_evaluation.script import arguments, kept, pose_error
 from magmatch_evaluation.statistics import wilson_interval
 from magmatch_evaluation.trial import nees_of
 
@@ -53,27 +57,32 @@ def judged(result: RegistrationResult, pair: SimulatedPair) -> dict[str, float]:
     }  # fmt: skip
 
 
-def main() -> None:
-    asked = arguments(__doc__, seeds=40, first=0, drifts=[0.0, 0.02, 0.05, 0.1], quick=False, save=saver)
+def corridor(name: str) -> dict[str, dict[str, float]]:
+    """Register one corridor under each prior, and its target with another one: name is ``DRIFT SEED``."""
     logging.getLogger("magmatch").setLevel(logging.ERROR)
+    drift, seed = name.split()
+    config = SimulationConfig(pose_drift=float(drift))
+    pair, after = (mm.simulate("corridor", int(seed) + k, config) for k in (0, 1))
+    base, other = (mm.build_map(one.base, SPLINE) for one in (pair, after))
+    priors = {"any pose": False, "`--gravity-aligned`": True}
+    rows = {prior: judged(register(base, pair.target, aligned=aligned), pair) for prior, aligned in priors.items()}
+    accepted = float(register(other, pair.target, aligned=False).is_accepted)
+    return rows | {"another place": {"accepted": accepted, "wrong": accepted}}
+
+
+def main() -> None:
+    asked = arguments(
+        __doc__, out=Path, seeds=40, first=0, drifts=[0.0, 0.02, 0.05, 0.1], jobs=os.cpu_count(), quick=False,
+        save=saver,
+    )  # fmt: skip
     n = asked.seeds // 4 if asked.quick else asked.seeds
-    lines = []
-    for drift in asked.drifts:
-        rows: dict[str, list[dict[str, float]]] = {"any pose": [], "`--gravity-aligned`": [], "another place": []}
-        before: mm.FieldMap | None = None
-        for seed in range(asked.first, asked.first + n):
-            pair = mm.simulate("corridor", seed, SimulationConfig(pose_drift=drift))
-            base = mm.build_map(pair.base, SPLINE)
-            for prior, aligned in (("any pose", False), ("`--gravity-aligned`", True)):
-                rows[prior].append(judged(register(base, pair.target, aligned=aligned), pair))
-            if before is not None:
-                accepted = register(before, pair.target, aligned=False).is_accepted
-                rows["another place"].append({"accepted": float(accepted), "wrong": float(accepted)})
-            before = base
-        lines += [line(f"{drift:g}", prior, found) for prior, found in rows.items() if found]
-        for one in lines[-3:]:
-            print(" | ".join(one), flush=True)
-    show(COLUMNS, lines, asked.save)
+    names = [f"{drift:g} {seed}" for drift, seed in product(asked.drifts, range(asked.first, asked.first + n))]
+    found = kept(asked.out / "corridors.jsonl", names, corridor, jobs=asked.jobs)
+    lines = [
+        line(f"{drift:g}", prior, [row[prior] for name, row in found.items() if name.startswith(f"{drift:g} ")])
+        for drift, prior in product(asked.drifts, ("any pose", "`--gravity-aligned`", "another place"))
+    ]
+    show(COLUMNS, lines, asked.save, found.values())
 
 
 def line(drift: str, prior: str, rows: list[dict[str, float]]) -> list[str]:

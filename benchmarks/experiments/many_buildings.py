@@ -1,16 +1,16 @@
 """One short survey against many places: CEA, simulated corridors and rooms, and recordings, all in one folder.
 
     python benchmarks/experiments/many_buildings.py FOLDER [--buildings 100] [--rooms 0] [--others] [--among 0]
-        [--tries 50] [--simulated 50] [--lengths 10] [--from DIR] [--seed 700] [--absent]
+        [--tries 50] [--simulated 50] [--absent 0] [--lengths 10] [--from DIR] [--seed 700] [--save NAME]
 
 FOLDER keeps the maps and their indexes from run to run; other maps in it are places, too. A simulated building is a
 corridor around a rectangle of its own size, walked twice along either side; a room is one of `many_rooms.py`; CEA
 is walk one through both floors, and ``--others`` adds the other recordings. Targets are stretches of CEA's walk two
 (`--tries`) on its second floor, and walks along the middle of as many different simulated corridors (`--simulated`),
 each in a random frame of its own. Right = the right place first, and in it within 0.25
-m and 3 deg. ``--among 100 1000`` asks each target twice, among its own place and 99, and 999, others (0: all). With
-``--absent`` each target's own place is taken out, so that nothing is right. Seconds are per query in one process
-with the folder open; those of opening it are printed besides.
+m and 3 deg. ``--among 100 1000`` asks each target twice, among its own place and 99, and 999, others (0: all). From
+the folder of so many further targets of each kind (``--absent``) their own place is taken out, so that nothing is
+right. Seconds are per query in one process with the folder open; those of opening it are printed besides.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from magmatch.geometry import random_transform
 from magmatch.simulation.magnets import Source, field_of
 from magmatch.simulation.paths import around_loop, heading_along, loop_length
 from magmatch.simulation.structures import along_corridor, calibrated, is_clear
+from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, pose_error, timed
 
 HALF_WIDTH, HEIGHT, CORNER, CLEARANCE = 1.5, 1.2, 1.5, 0.5
@@ -49,6 +50,10 @@ OTHERS = {
 N_LARGE = 120
 STEP, NOISE_SD, ANOMALY_SD = 0.08, 0.4e-6, 12e-6
 EARTH = np.array([17.83e-6, 0.0, -44.57e-6])
+COLUMNS = (
+    "target", "places", "n", "right building first", "and right pose", "accepted and right", "accepted and wrong",
+    "s a query, one core",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -161,24 +166,35 @@ def resident() -> str:
     return ", ".join(f"{key} {int(lines[key].split()[0]) / 1024:.0f} MB" for key in ("RssAnon", "RssFile"))
 
 
-def report(name: str, outcomes: Sequence[tuple]) -> None:
+def report(name: str, n_places: int, outcomes: Sequence[tuple], *, is_absent: bool) -> list[str]:
+    """One row; refusals and seconds are told beside it."""
     of_building, right, accepted, seconds, status, stages = zip(*outcomes, strict=True)
-    n = len(outcomes)
+    good = sum(r and a for r, a in zip(right, accepted, strict=True))
+    median, high = np.quantile(seconds, (0.5, 0.95), axis=0)
     print(
-        f"{name}: {n} tries, right building first {sum(of_building)}, and right pose {sum(right)} "
-        f"({sum(right) / n:.0%}), accepted and right {sum(r and a for r, a in zip(right, accepted, strict=True))}, "
-        f"accepted and wrong {sum(a and not r for r, a in zip(right, accepted, strict=True))}; "
-        f"{dict(Counter(status))}\n    seconds per query: median {np.median(seconds, axis=0)[0]:.2f}, "
-        f"95 % {np.quantile(seconds, 0.95, axis=0)[0]:.2f} (of one core: {np.median(seconds, axis=0)[1]:.2f}), votes "
-        f"{np.median([s.get('votes', np.nan) for s in stages]):.2f}",
+        f"{name}, {n_places} places: {dict(Counter(status))}; seconds per query: median {median[0]:.2f}, 95 % "
+        f"{high[0]:.2f}, votes {np.median([s.get('votes', np.nan) for s in stages]):.2f}",
         flush=True,
     )
+    found = ["-"] * 3 if is_absent else [str(sum(of_building)), str(sum(right)), str(good)]
+    return [name, str(n_places), str(len(outcomes)), *found, str(sum(accepted) - good), f"{median[1]:.2f}"]
+
+
+def targets(asked: argparse.Namespace, walk: mm.Survey, length: float, *, is_absent: bool) -> Iterator[tuple]:
+    """Kinds of targets, each with its targets and their places."""
+    rng = np.random.default_rng([asked.seed, int(length), is_absent])
+    tries, simulated = (asked.absent,) * 2 if is_absent else (asked.tries, asked.simulated)
+    some = stretches(walk, length, tries, rng)
+    yield f"CEA floor 2, {length:.0f} m", (("cea.map", stretch) for stretch in some)
+    numbers = rng.choice(asked.buildings - 1, min(simulated, asked.buildings - 1), replace=False)
+    walks = ((f"building-{k:03d}.map", simulated_target(int(k), length, rng)) for k in numbers)
+    yield f"simulated, {length:.0f} m along the middle", walks
 
 
 def main() -> None:
     asked = arguments(
         __doc__, (), recordings=None, buildings=100, rooms=0, others=False, among=[0], tries=50, simulated=50,
-        lengths=[10.0], seed=700, absent=False,
+        absent=0, lengths=[10.0], seed=700, save=saver,
     )  # fmt: skip
     folder = Path(asked.words[0])
     walks = load_recordings("cea", asked.recordings)
@@ -189,17 +205,16 @@ def main() -> None:
     size = sum(path.stat().st_size for path in folder.iterdir())
     print(f"{len(atlas.entries)} places, {size / 1e6:.0f} MB; indexed in {indexing:.1f} s, opened again in "
           f"{opening:.2f} s; resident {before}, open {resident()}")  # fmt: skip
-    for length in asked.lengths:
-        rng = np.random.default_rng([asked.seed, int(length)])
-        some = stretches(walks["test-floor2"], length, asked.tries, rng)
-        targets = {"CEA floor 2": (("cea.map", stretch) for stretch in some)}
-        numbers = rng.choice(asked.buildings - 1, min(asked.simulated, asked.buildings - 1), replace=False)
-        targets["simulated"] = ((f"building-{k:03d}.map", simulated_target(int(k), length, rng)) for k in numbers)
-        for kind, some in targets.items():
-            found = [judge(atlas, asked.among, s, name, rng, is_absent=asked.absent) for name, s in some]
+    rows = []
+    for length, is_absent in product(asked.lengths, (False, True)):
+        rng = np.random.default_rng([asked.seed, int(length), 2 + is_absent])
+        for kind, some in targets(asked, walks["test-floor2"], length, is_absent=is_absent):
+            found = [judge(atlas, asked.among, s, name, rng, is_absent=is_absent) for name, s in some]
+            name = f"{kind}, its place taken out" if is_absent else kind
             for n, outcomes in zip(asked.among, zip(*found, strict=True), strict=False):
-                report(f"{kind} {length:.0f} m, among {n or len(atlas.entries)} places", outcomes)
-        print(f"resident {resident()}")
+                rows.append(report(name, n or len(atlas.entries), outcomes, is_absent=is_absent))
+    print(f"resident {resident()}")
+    show(COLUMNS, rows, asked.save)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Short stretches of one walk through a two-floor building, found in the map of the whole building from another walk.
 
-    python benchmarks/experiments/short_walks.py [--from DIR] [--lengths 20 10 5] [--tries 100] [--seed 100]
-        [--floors 1 2] [--cut-out] [--save NAME]
+    python benchmarks/experiments/short_walks.py --out DIR [--from DIR] [--lengths 20 10 5] [--tries 100]
+        [--seed 100] [--floors 1 2] [--cut-out] [--jobs 2] [--save NAME]
 
 CEA: base = walk one, both floors; targets = stretches of walk two on either floor, each moved by a random SE(3).
 Right = within 0.25 m and 3 deg. With ``--cut-out`` everything within 3 m of the stretch is taken out of the base
 (its pairs of points and its known region), so that nothing is right. Prints the counts, the error, the consistency of
-the covariance (NEES per degree of freedom) and the seconds per query with the map and its index built.
+the covariance (NEES per degree of freedom) and the seconds per query with the map and its index built. Rows stay in
+the folder of ``--out``; a second run goes on where the first ended.
 """
 
+import os
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache, partial
 from itertools import product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -30,7 +35,7 @@ from magmatch.registration.search.pair_search import tabulate_pairs
 from magmatch.registration.steps import refine_and_weigh, settle_and_decide
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch_evaluation.saved_table import saver, show
-from magmatch_evaluation.script import arguments, pose_error, timed
+from magmatch_evaluation.script import arguments, in_groups, kept, pose_error, timed
 from magmatch_evaluation.trial import nees_of
 
 CONFIG = PRESETS["default"]
@@ -45,21 +50,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """One try."""
-
-    result: mm.RegistrationResult
-    distance: float
-    angle_deg: float
-    nees: float
-    seconds: float
-    cpu_seconds: float
-
-    @property
-    def is_right(self) -> bool:
-        """Whether the best pose is within tolerance."""
-        return self.distance <= MAX_M and self.angle_deg <= MAX_DEG
+Row = dict[str, Any]
 
 
 def stretches(walk: Survey, length: float, n: int, rng: np.random.Generator) -> Iterator[Survey]:
@@ -96,58 +87,70 @@ def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.Registration
     return settle_and_decide(weighed, CONFIG.decision, clock)
 
 
-def try_one(index: MapIndex, stretch: Survey, rng: np.random.Generator) -> Outcome:
-    """Move a stretch, register it, compare with the truth."""
-    T_base_target = random_transform(rng)
-    target = stretch.transformed(T_base_target.inv())
-    result, *seconds = timed(register_walk, index, target, int(rng.integers(2**32)))
-    distance, angle = pose_error(result, T_base_target, target.centroid)
-    return Outcome(result, distance, float(np.degrees(angle)), nees_of(result, T_base_target), *seconds)
-
-
-def report(floor: int, length: float, outcomes: list[Outcome]) -> list[str]:
-    """One row; what was accepted though wrong is told aloud."""
-    accepted, n = [o for o in outcomes if o.result.is_accepted], len(outcomes)
-    good, elsewhere = [o for o in accepted if o.is_right], [o for o in accepted if o.distance > OTHER_PLACE_M]
-    wrong = len(accepted) - len(good) - len(elsewhere)
-    refusals = Counter(str(o.result.status) for o in outcomes if not o.result.is_accepted)
-    print(f"floor {floor}, {length:.0f} m: refused {dict(refusals) or 'none'}", flush=True)
-    for o in accepted:
-        if not o.is_right:
-            print(f"    ACCEPTED {o.distance:.2f} m {o.angle_deg:.2f} deg off: {o.result.reason}")
-    error, consistency = "none", "none"
-    if accepted:
-        distance, angle = np.median([[1e3 * o.distance, o.angle_deg] for o in accepted], axis=0)
-        error, consistency = f"{distance:.0f} mm, {angle:.2f} deg", f"{np.mean([o.nees for o in accepted]):.2f}"
-    seconds = [f"{np.median([getattr(o, name) for o in outcomes[1:]]):.3f}" for name in ("seconds", "cpu_seconds")]
-    counts = [f"{len(good)} of {n}", sum(o.is_right for o in outcomes), wrong, len(elsewhere)]
-    return [str(floor), f"{length:.0f} m", *map(str, counts), error, consistency, *seconds]
-
-
-def main() -> None:
-    asked = arguments(
-        __doc__, recordings=None, lengths=[20.0, 10.0, 5.0], tries=100, seed=100, floors=[1, 2], cut_out=False,
-        save=saver,
-    )  # fmt: skip
-    walks = load_recordings("cea", asked.recordings)
-    rng = np.random.default_rng(0)
+@cache
+def building(source: Path | None) -> tuple[dict[str, Survey], MapIndex]:
+    """The walks, and walk one as a base."""
+    walks, rng = load_recordings("cea", source), np.random.default_rng(0)
     base_map, mapping, _ = timed(mm.build_map, walks["training"])
     walk_index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), CONFIG.walks.search, rng))
-    index = MapIndex(walk_index.base, lambda: walk_index)
     print(
         f"base: {len(walks['training'])} samples, map {mapping:.1f} s, index {indexing:.1f} s "
         f"({len(walk_index.table.first)} pairs of points), field length {walk_index.length:.2f} m\n{walk_index.noise}"
     )
-    rows = []
-    for floor, length in product(asked.floors, asked.lengths):
-        rng = np.random.default_rng([asked.seed, int(length)])
-        outcomes = []
-        for stretch in stretches(walks[f"test-floor{floor}"], length, asked.tries, rng):
-            path_model = transform_points(stretch.positions, base_map.T_map_model.inv())
-            seen = cut_out(index, path_model, 3.0) if asked.cut_out else index
-            outcomes.append(try_one(seen, stretch, rng))
-        rows.append(report(floor, length, outcomes))
-    show(COLUMNS, rows, asked.save)
+    return walks, MapIndex(walk_index.base, lambda: walk_index)
+
+
+def try_one(name: str, *, seed: int, source: Path | None, is_cut_out: bool) -> Row:
+    """Move a stretch, register it, compare with the truth: name is ``FLOOR LENGTH NUMBER``."""
+    walks, index = building(source)
+    floor, length, number = name.split()
+    rng = np.random.default_rng([seed, int(floor), round(float(length)), int(number)])
+    stretch = next(stretches(walks[f"test-floor{floor}"], float(length), 1, rng))
+    if is_cut_out:
+        index = cut_out(index, transform_points(stretch.positions, index.base.T_map_model.inv()), 3.0)
+    T_base_target = random_transform(rng)
+    target = stretch.transformed(T_base_target.inv())
+    result, *seconds = timed(register_walk, index, target, int(rng.integers(2**32)))
+    distance, angle = pose_error(result, T_base_target, target.centroid)
+    error = {"metres": distance, "degrees": float(np.degrees(angle)), "nees": nees_of(result, T_base_target)}
+    return {"status": result.status.value, "reason": result.reason, "seconds": seconds} | error
+
+
+def report(floor: int, length: float, rows: list[Row]) -> list[str]:
+    """One row; what was accepted though wrong is told aloud."""
+    accepted, n = [row for row in rows if row["status"] == "accepted"], len(rows)
+    good, elsewhere = [r for r in accepted if is_right(r)], [r for r in accepted if r["metres"] > OTHER_PLACE_M]
+    wrong = len(accepted) - len(good) - len(elsewhere)
+    refusals = Counter(row["status"] for row in rows if row["status"] != "accepted")
+    print(f"floor {floor}, {length:.0f} m: refused {dict(refusals) or 'none'}", flush=True)
+    for row in accepted:
+        if not is_right(row):
+            print(f"    ACCEPTED {row['metres']:.2f} m {row['degrees']:.2f} deg off: {row['reason']}")
+    error, consistency = "none", "none"
+    if accepted:
+        distance, angle = np.median([[1e3 * row["metres"], row["degrees"]] for row in accepted], axis=0)
+        error, consistency = f"{distance:.0f} mm, {angle:.2f} deg", f"{np.mean([r['nees'] for r in accepted]):.2f}"
+    seconds = [f"{each:.3f}" for each in np.median([row["seconds"] for row in rows], axis=0)]
+    counts = [f"{len(good)} of {n}", sum(map(is_right, rows)), wrong, len(elsewhere)]
+    return [str(floor), f"{length:.0f} m", *map(str, counts), error, consistency, *seconds]
+
+
+def is_right(row: Row) -> bool:
+    """Whether the best pose is within tolerance."""
+    return bool(row["metres"] <= MAX_M and row["degrees"] <= MAX_DEG)
+
+
+def main() -> None:
+    asked = arguments(
+        __doc__, out=Path, recordings=None, lengths=[20.0, 10.0, 5.0], tries=100, seed=100, floors=[1, 2],
+        cut_out=False, jobs=os.cpu_count(), save=saver,
+    )  # fmt: skip
+    work = partial(try_one, seed=asked.seed, source=asked.recordings, is_cut_out=asked.cut_out)
+    kinds = [f"{floor} {length:g}" for floor, length in product(asked.floors, asked.lengths)]
+    names = [f"{kind} {k}" for kind in kinds for k in range(asked.tries)]
+    found = kept(asked.out / "walks.jsonl", names, work, jobs=asked.jobs)
+    rows = [report(int(kind.split()[0]), float(kind.split()[1]), some) for kind, some in in_groups(kinds, found)]
+    show(COLUMNS, rows, asked.save, found.values())
 
 
 if __name__ == "__main__":
