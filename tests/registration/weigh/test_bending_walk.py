@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A walk that bends, in a map that passed each place once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from magmatch import build_map, register, simulate
 from magmatch.estimation.model_prior import RATES
@@ -61,7 +64,9 @@ def test_residuals_without_bending_have_the_covariance_of_the_map_and_a_bin(drif
     pair, index = drifting
     _, bending = weigher(index, pair.target)
     base, x = index.base, bending.walk.positions[:3]
-    turned = bending._rigid_covariance(np.eye(3), x)
+    bending = replace(bending, walk=replace(bending.walk, positions=x))
+    errors = bending._map_errors(RigidTransform.identity())
+    turned = bending._rigid_covariance(np.eye(3), errors, np.ones(3, dtype=np.bool_))
     by_map = base.field_map.posterior.covariance(x)
     noise = bending.null.noise.nugget_sd**2 * np.eye(3)
     blocks = np.stack([turned[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(3)])

@@ -72,29 +72,35 @@ class BendingWalk:
         return cls(base, walk, length, prior, config, null, bending_of(walk.positions))
 
     def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
-        """Refine poses at one rate, and the best few at each; best first, without those outside the base."""
+        """Refine poses at one rate, and the best few at each; best first, without those outside the base.
+
+        The map's errors differ from pose to pose over a correlation length. A pose that is refined moves by less, so
+        they are evaluated where it starts, and for the best few anew where they stand.
+        """
         middle = RATES[len(RATES) // 2]
-        coarse = in_order(self._fit(T, middle) for T in starts)
-        others = [rate for rate in RATES if rate != middle]
-        fine = [self._fit(one.T_base_target, rate) for one in coarse[:N_REFINED] for rate in others]
-        return in_order([*coarse, *fine])
+        coarse = in_order(self._fit(T, middle, self._map_errors(T)) for T in starts)
+        fine: list[LineEvidence | None] = []
+        for one in coarse[:N_REFINED]:
+            errors = self._map_errors(one.T_base_target)
+            fine += [self._fit(one.T_base_target, rate, errors) for rate in RATES]
+        return in_order([*fine, *coarse[N_REFINED:]])
 
     @property
     def _center(self) -> Vector3:
         return np.asarray(self.walk.positions.mean(axis=0))
 
-    def _fit(self, start: RigidTransform, rate: float) -> LineEvidence | None:
-        """Take Gauss-Newton steps of a pose; the walk's shape is integrated out."""
+    def _fit(self, start: RigidTransform, rate: float, errors: np.ndarray) -> LineEvidence | None:
+        """Take Gauss-Newton steps of a pose, given the map's errors there; the walk's shape is integrated out."""
         R, p = rotation_matrix(start), start.apply(self._center)
         longest = np.repeat(pose_inaccuracy(self.length), 3)
         factor, seen = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
         for step in range(COARSE_STEPS + 1):
-            known, points, rows, slopes = self._rows(R, p)
+            known, rows, slopes = self._rows(R, p)
             if known.sum() < MIN_BINS:
                 return None
             if step in RENEWED or not np.array_equal(known, seen):
                 moved = (slopes @ (rate * self.bending.modes[known])).reshape(len(rows), -1)
-                factor, seen = np.linalg.cholesky(self._rigid_covariance(R, points) + moved @ moved.T), known
+                factor, seen = np.linalg.cholesky(self._rigid_covariance(R, errors, known) + moved @ moved.T), known
             white = solve_triangular(factor, rows, lower=True, check_finite=False)
             r, J = white[:, 0], white[:, 1:]
             known_before, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
@@ -124,22 +130,27 @@ class BendingWalk:
             model=f"drifts by {rate} m per root of a metre",
         )
 
-    def _rows(self, R: Matrix, p: Vector3) -> tuple[Mask, Points, Matrix, np.ndarray]:
-        """Bins inside the base (n,): where they are (k, 3), residuals with slopes by the pose (3 k, 7), by moves."""
+    def _rows(self, R: Matrix, p: Vector3) -> tuple[Mask, Matrix, np.ndarray]:
+        """Bins inside the base (n,), their residuals with slopes by the pose (3 k, 7), and slopes by moves."""
         y = self.walk.positions - self._center
         _, _, _, known = self.base.raster.lookup(p + y @ R.T)
         y, b = y[known], self.walk.field[known]
         points, told = p + y @ R.T, np.ones((1, len(y)))
         values = self.base.posterior.evaluate(points, order=1)
         rows, slopes = residual_rows(R[None], y[None], b[None], (values.field, gradient_of(values)), told > 0, told)
-        return known, points, rows.reshape(3 * len(y), rows.shape[-1]), slopes[0]
+        return known, rows.reshape(3 * len(y), rows.shape[-1]), slopes[0]
 
-    def _rigid_covariance(self, R: Matrix, points: Points) -> Matrix:
-        """The residuals' covariance without bending, walk's axes: (3 k, 3 k)."""
-        n, h = len(points), self.base.field_map.hyperparameters
+    def _map_errors(self, T: RigidTransform) -> np.ndarray:
+        """Covariance of the map's errors between all bins, base model axes: (n, 3, n, 3), T^2."""
+        points, h = T.apply(self.walk.positions), self.base.field_map.hyperparameters
         C = self.base.field_map.posterior.influence(points) * (h.inflation * h.noise_sd) ** 2
-        C = np.einsum("ai,namb,bj->nimj", R, C.reshape(n, 3, n, 3), R, optimize=True).reshape(3 * n, 3 * n)
-        return np.asarray(C + self.null.noise.nugget_sd**2 * np.eye(3 * n))
+        return np.asarray(C.reshape(len(points), 3, len(points), 3))
+
+    def _rigid_covariance(self, R: Matrix, errors: np.ndarray, known: Mask) -> Matrix:
+        """The residuals' covariance without bending, of known bins, walk's axes: (3 k, 3 k)."""
+        C = np.einsum("ai,namb,bj->nimj", R, errors[known][:, :, known], R, optimize=True)
+        noise = self.null.noise.nugget_sd**2 * np.eye(3 * known.sum())
+        return np.asarray(C.reshape(noise.shape) + noise)
 
 
 def noise_of_bins(noise_sd: float, length: float) -> PathNoise:
