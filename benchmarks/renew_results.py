@@ -16,8 +16,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from write_results import MARK, PAGES, History
+from write_results import History
 
+from magmatch_evaluation.experiments import MAIN_METHODS
+from magmatch_evaluation.held_out_field import PREDICTORS
 from magmatch_evaluation.saved_table import FOLDER, ResultTable
 from magmatch_evaluation.script import RECORDINGS, arguments
 
@@ -27,7 +29,8 @@ class Run:
     """A command that fills tables."""
 
     tables: tuple[str, ...]
-    # {jobs}, {data} (recordings) and {out} (a folder of the run's own) are filled in; options that save are added.
+    # {jobs}, {data} (recordings), {out} (a folder of the run's own) and {methods} are filled in; options that save
+    # are added.
     words: str
     minutes: float  # on two idle cores, estimated from seconds that the tables state
     saves: str = "--save {0}"  # the tables by their place
@@ -41,55 +44,57 @@ class Run:
         """Fill in the words."""
         own = out / self.tables[0]
         words = f"{self.words} {self.saves.format(*self.tables)}"
-        places = {"jobs": jobs, "data": shlex.quote(str(data)), "out": shlex.quote(str(own))}
+        methods = ",".join((*MAIN_METHODS, *PREDICTORS))
+        places = {"jobs": jobs, "data": shlex.quote(str(data)), "out": shlex.quote(str(own)), "methods": methods}
         program, *rest = shlex.split(words.format(**places))
         if program == "evaluate":
             return [sys.executable, "-m", "magmatch", program, *rest]
         return [sys.executable, f"benchmarks/{program}", *rest]
 
 
+# What is asked most comes first: who stops early has the most of it.
 RUNS = (
-    Run(("headline",), "headline.py --jobs {jobs} --out {out}", 2),
     Run(
-        ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
-        "evaluate published mapping --seeds 20 --jobs {jobs} --from {data} --out {out}",
-        95,
-        "--save",
+        ("drifting-corridors",),
+        "experiments/drifting_corridors.py --seeds 40 --first 53100000 --jobs {jobs} --out {out}",
+        14,
+    ),
+    Run(
+        ("short-walks",),
+        "experiments/short_walks.py --tries 200 --seed 53200000 --jobs {jobs} --from {data} --out {out}",
+        4,
     ),
     Run(
         ("many-rooms", "different-places"),
-        "experiments/many_rooms.py --first 700000 --rooms 100 --pairs 2000 --jobs {jobs} --out {out}",
-        30,
+        "experiments/many_rooms.py --first 53300000 --rooms 100 --pairs 3000 --jobs {jobs} --out {out}",
+        35,
         "--save {0} --save-pairs {1}",
     ),
-    Run(("short-walks",), "experiments/short_walks.py --tries 200 --seed 7171 --from {data}", 8),
     Run(
-        ("drifting-corridors",),
-        "experiments/drifting_corridors.py --seeds 20 --first 35200000 --drifts 0 0.01 0.02 0.05 0.1",
-        20,
+        ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
+        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 20 --first 53400000 "
+        "--jobs {jobs} --from {data} --out {out}",
+        40,
+        "--save",
     ),
-    Run(("newcomers",), "experiments/newcomers.py --minutes 30 --jobs {jobs} --data {data} --out {out}", 31),
     Run(
-        ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 700 --seeds 2 --minutes 30 --jobs {jobs} --out {out}",
-        31,
+        ("many-buildings",),
+        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 53500000 --from {data}",
+        12,
     ),
+    Run(("newcomers",), "experiments/newcomers.py --minutes 15 --jobs {jobs} --data {data} --out {out}", 16),
     Run(
         ("localize-others",),
         "experiments/localize_evidence.py --table others --minutes 15 --jobs {jobs} --data {data} --out {out}",
         16,
     ),
+    Run(
+        ("slam-scenarios",),
+        "experiments/slam_scenarios.py --first 53600000 --seeds 2 --minutes 15 --jobs {jobs} --out {out}",
+        16,
+    ),
+    Run(("headline",), "headline.py --jobs {jobs} --out {out}", 2),
 )
-# Written by hand, from what these print.
-BY_HAND = {
-    "many-buildings": "python benchmarks/experiments/many_buildings.py FOLDER --tries 100 --simulated 60 --seed 1003",
-}
-
-
-def shown(root: Path) -> list[str]:
-    """Tables that a page shows, in the order of the pages."""
-    found = (mark.group(3) for page in PAGES for mark in MARK.finditer((root / page).read_text(encoding="utf-8")))
-    return list(dict.fromkeys(found))
 
 
 def is_of_today(run: Run, history: History) -> bool:
@@ -121,7 +126,6 @@ def main() -> int:
     history, data = History(root), asked.data or RECORDINGS
     some = [run for run in RUNS if not asked.only or set(asked.only) & set(run.tables)]
     wanted = to_do(some, history, data)
-    print("\n".join(f"{name}: by hand, from {command}" for name, command in BY_HAND.items() if name in shown(root)))
     print(f"{sum(run.minutes for run in wanted):.0f} min in all", flush=True)
     commit = history.git("rev-parse", "--short", "HEAD").stdout.strip()
     failed = []
