@@ -100,7 +100,7 @@ RUNS = (
 def is_of_today(run: Run, history: History) -> bool:
     """Whether none of its tables is older than the code."""
     tables = (ResultTable.load(history.root / FOLDER / f"{name}.json") for name in run.tables)
-    return not any(map(history.is_older, tables))
+    return not any(map(history.changed, tables))
 
 
 def to_do(runs: Sequence[Run], history: History, data: Path | None) -> list[Run]:

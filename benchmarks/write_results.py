@@ -47,17 +47,21 @@ class History:
         """Whether the code of today comes from a commit."""
         return self.git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0
 
-    def is_older(self, table: ResultTable) -> bool:
-        """Whether what a table covers differs from any of its commits; unknown commits count as older."""
-        is_new = self.git("ls-files", "--others", "--exclude-standard", "--", *table.covers).stdout
-        changed = (self.git("diff", "--quiet", commit, "--", *table.covers).returncode for commit in table.commits)
-        return not table.commits or bool(is_new) or any(changed)
+    def changed(self, table: ResultTable) -> list[str]:
+        """What a table covers that differs from any of its commits; all of it where no commit is known."""
+
+        def differs(path: str) -> bool:
+            is_new = self.git("ls-files", "--others", "--exclude-standard", "--", path).stdout
+            return bool(is_new) or any(self.git("diff", "--quiet", c, "--", path).returncode for c in table.commits)
+
+        return [path for path in table.covers if not table.commits or differs(path)]
 
 
 def caption(table: ResultTable, history: History) -> str:
     """Say what printed a table, and of when it is."""
     commits = ", ".join(commit[:7] for commit in table.commits) or NOT_RECORDED
-    age = " **Older than the code.**" if history.is_older(table) else ""
+    changed = ", ".join(f"`{Path(path).name}`" for path in history.changed(table))
+    age = f" **Changed since: {changed}.**" if changed else ""
     return f"`{table.command}`; commit {commits}, {table.date}.{age}"
 
 
@@ -110,8 +114,8 @@ def faults(tables: dict[str, ResultTable], root: Path, history: History, *, is_r
                 f"{name}: covers {path}, which is not there" for path in table.covers if not (root / path).exists()
             )
         yield from (f"{name}: commit {c} is not in the history" for c in table.commits if not history.has(c))
-        if is_release and name in published and history.is_older(table):
-            yield f"{name}: older than the code ({', '.join(table.covers)}); run again: {table.command}"
+        if is_release and name in published and (changed := history.changed(table)):
+            yield f"{name}: older than the code ({', '.join(changed)}); run again: {table.command}"
 
 
 def main() -> int:

@@ -16,7 +16,7 @@ from magmatch_evaluation.saved_table import ResultTable, saver, show
 from magmatch_evaluation.script import kept
 
 SOME = '{"columns": ["error"], "where": {"case": ["walk"]}}'
-OLDER = "**Older than the code.**"
+OLDER = "**Changed since: `src`.**"
 
 
 def git(root, *words):
