@@ -12,9 +12,9 @@ from magmatch.typing import Scalars
 # Sensors that differ by bias and scale, and once more if by soft iron. Correlated errors of two maps of one place
 # look like a bias that gains up to ten nats.
 SENSORS_DIFFER = -15.0
-# A walk bends at one of these rates, m per square root of a metre, equally likely: of wheels, of cameras, and of a
-# phone's dead reckoning.
-RATES = (0.02, 0.05, 0.1, 0.2)
+# A walk bends at one of these rates, m per square root of a metre, equally likely: of a tracking system, of wheels,
+# of cameras, and of a phone's dead reckoning.
+RATES = (0.005, 0.02, 0.05, 0.1, 0.2)
 EACH_RATE = -float(np.log(len(RATES)))
 
 
