@@ -25,13 +25,13 @@ def choose_part(points: Points, n_samples: int, n_places: int) -> Mask:
     is_chosen = np.zeros(len(points), dtype=bool)
     first = int(np.argmin(((points - np.median(points, axis=0)) ** 2).sum(axis=1)))
     distance = ((points - points[first]) ** 2).sum(axis=1)
-    for _ in range(n_places):
+    # Next: a place further from what was chosen than most, so that corners do not stand for the whole.
+    candidates = points[:: max(1, len(points) // MOST_CANDIDATES)]
+    for place in range(n_places):
+        if place > 0:
+            away = cKDTree(points[is_chosen]).query(candidates)[0]
+            centre = int(np.argsort(away, kind="stable")[int(0.75 * len(candidates))])
+            distance = ((points - candidates[centre]) ** 2).sum(axis=1)
         nearest = np.argpartition(distance, min(n_samples // n_places, len(points) - 1))
         is_chosen[nearest[: max(1, n_samples // n_places)]] = True
-        chosen = points[is_chosen]
-        # Next: a place further from what was chosen than most, so that corners do not stand for the whole.
-        candidates = points[:: max(1, len(points) // MOST_CANDIDATES)]
-        away = cKDTree(chosen).query(candidates)[0]
-        centre = int(np.argsort(away, kind="stable")[int(0.75 * len(candidates))])
-        distance = ((points - candidates[centre]) ** 2).sum(axis=1)
     return is_chosen

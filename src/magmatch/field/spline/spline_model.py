@@ -38,9 +38,9 @@ from magmatch.typing import Mask, Matrix, Points, Scalars, Vectors
 WHOLE: Index = (0, 0, 0)
 # A few points are solved for one by one while that takes at most this share of the work of the selected inverse.
 LARGEST_SHARE_FOR_SOLVES = 0.1
-# `SplineModel.information_ratio` up to which two corrections of a factor in single precision will do. Beyond, one
-# in double precision, which covariances need as well, takes no longer.
-HIGHEST_INFORMATION_RATIO = 3e3
+# `SplineModel.information_ratio` up to which a factor in single precision will do. A correction is smaller than the
+# last by about this times single precision's rounding: four are needed, which take half the time that it saves.
+HIGHEST_INFORMATION_RATIO = 1e5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
