@@ -7,9 +7,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from magmatch.estimation.candidate_poses import (
-    CandidatePoses,
-)
+from magmatch.estimation.candidate_poses import CandidatePoses
 from magmatch.estimation.cubes import SAMPLING, even_choice, thin
 from magmatch.estimation.limits import COARSER, FEW_POINTS, MAX_PAIRS, MORE_NEIGHBOURS, N_COARSE_OF_WALK, N_LIKE_PAIRS
 from magmatch.estimation.pose_prior import PosePrior
