@@ -27,8 +27,8 @@ COARSE_STEPS = MOST_STEPS // RARER
 FINE_STEPS = COARSE_STEPS // RARER
 # Search by invariants: anchors, base points that each is tried on, distinct poses refined coarsely and further.
 N_ANCHORS, N_NEIGHBOURS, N_COARSE, N_FINE = 400, 30, 600, 40
-# Search by pairs: pairs in a table, base pairs that each is tried on, distinct poses refined coarsely.
-MAX_PAIRS, N_LIKE_PAIRS, N_COARSE_OF_WALK = 600_000, 8, 120
+# Search by pairs: pairs in a table, base pairs that each is tried on.
+MAX_PAIRS, N_LIKE_PAIRS = 600_000, 8
 # Votes of many maps: maps asked (a folder ten times larger costs little more).
 MAX_ASKED = 300
 # Changes of the field: samples compared and charges (with half as many of both, the target's own field is described
