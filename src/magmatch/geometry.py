@@ -11,9 +11,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.typing import Covariance6, Matrix, Points, Scalars, Tensors, ThirdOrder, Vector3, Vectors
 
-# Largest entry of R R^T - I: what a file may hold, and what products of transforms accumulate by rounding.
+# Relative error that products of small matrices accumulate: less is none but rounding.
+ROUNDING = 1e-12
+# Largest entry of R R^T - I that a file may hold.
 ORTHONORMAL_TOLERANCE = 1e-9
-ORTHONORMAL_TO_ROUNDING = 1e-12
 # m: farther from their origin, coordinates lose digits that show. Up to here single precision, in which pictures are
 # drawn, keeps 0.1 mm, and a covariance about the origin keeps half the digits of one about the samples.
 FAR = 1e3
@@ -139,7 +140,7 @@ def transform_from_matrix(matrix: np.ndarray) -> RigidTransform:
     if np.linalg.det(R) < 0:
         msg = "expected a rotation in the upper left 3x3, got a reflection (determinant -1)"
         raise ValueError(msg)
-    return RigidTransform(matrix, normalize=error > ORTHONORMAL_TO_ROUNDING)
+    return RigidTransform(matrix, normalize=error > ROUNDING)
 
 
 def transform_of(R: Matrix, p: Vector3) -> RigidTransform:
@@ -156,7 +157,7 @@ def transform_from_product(matrix: Matrix) -> RigidTransform:
     """
     R = matrix[..., :3, :3]
     error = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
-    return RigidTransform(matrix, normalize=bool(error > ORTHONORMAL_TO_ROUNDING))
+    return RigidTransform(matrix, normalize=bool(error > ROUNDING))
 
 
 def product(*transforms: RigidTransform) -> RigidTransform:

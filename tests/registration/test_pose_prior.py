@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2 as chi_square
 
 from magmatch.estimation.candidate_poses import CandidatePoses
-from magmatch.estimation.limits import FEWEST_DRAWN, MOST_DRAWN
+from magmatch.estimation.limits import MOST_DRAWN
 from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.config import RegistrationConfig
@@ -182,8 +182,10 @@ def test_hypotheses_are_narrowed_to_those_admitted_and_poses_near_the_rough_one_
     np.testing.assert_allclose(moved[1], T.apply(CENTER), atol=1e-9)
     assert prior.admits(R, moved, CENTER, (0.01, 0.01)).mean() > 0.97
     assert set(rows[1:].tolist()) == {0, 1, 2}
-    # Fewer are enough for a search that tells fewer apart.
-    assert len(prior.narrow(given.subset(slice(1)), CENTER, (1.0, 1.0), rng)[0]) == FEWEST_DRAWN + 1
+    # Fewer are enough for a search that tells fewer apart: one a direction, and one an anchor.
+    assert len(prior.narrow(given.subset(slice(1)), CENTER, (1.0, 1.0), rng)[0]) == 6 + 1
+    many = given._replace(anchors_target=np.tile(anchors, (30, 1)))
+    assert set(prior.narrow(many, CENTER, (1.0, 1.0), rng).anchor_rows.tolist()) == set(range(90))
     # One a direction for each that they tell apart, times how many stand side by side where the prior is wide.
     wide = replace(prior, T_base_target=T, covariance=np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 90.0**2]))
     assert len(wide.narrow(given.subset(slice(0)), CENTER, (1.0, 1.0), rng)[0]) == 6 * 90

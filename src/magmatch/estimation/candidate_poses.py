@@ -12,8 +12,6 @@ from magmatch.typing import Indices, Points, Scalars, Tensors, Vector3
 
 # Inaccuracy of a pose that one pair of points proposes: rad, and in correlation lengths.
 POSE_TURN, POSE_SHIFT = 0.1, 0.2
-# Poses that differ by less, in these, are one.
-SAME_POSE_SDS = 2.0
 # Share of samples that may match nothing under a right pose (moved furniture, a passing lift).
 OUTLIER_SHARE = 0.3
 
@@ -24,9 +22,9 @@ def pose_inaccuracy(length: float) -> tuple[float, float]:
 
 
 def same_pose(length: float) -> tuple[float, float]:
-    """Angle and distance (rad, m) within which two such poses are one."""
+    """Angle and distance (rad, m) within which two such poses are one: both inaccuracies together."""
     turn, shift = pose_inaccuracy(length)
-    return SAME_POSE_SDS * turn, SAME_POSE_SDS * shift
+    return 2 * turn, 2 * shift
 
 
 class CandidatePoses(NamedTuple):

@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.distance import cdist
+from scipy.special import ndtri
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.cubes import SAMPLING, even_choice
@@ -35,8 +36,9 @@ PRIOR_STRETCHES = 5
 # Guess of the drift of positions in localisation, field lengths: the mean of what could be learned (CEA, InfCenter,
 # the museum's routes 1 to 3: 0.05 to 0.18). From much less the likelihood, flat near none, never leads to it.
 DRIFT = 0.08
-# Where the search for parameters ends (natural log, about the guesses): beyond, covariances are singular to rounding.
-FARTHEST = 10 * LOG_SD
+# Where the search for parameters ends (natural log, about the guesses): what the prior leaves beyond is none but
+# rounding, and covariances would be singular.
+FARTHEST = -LOG_SD * float(ndtri(np.finfo(float).eps))
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
 from magmatch.estimation.candidate_poses import CandidatePoses
-from magmatch.estimation.limits import FEWEST_DRAWN, MOST_DRAWN
+from magmatch.estimation.limits import MOST_DRAWN
 from magmatch.geometry import perturbation, product, rotation_matrix, skew
 from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, Vector3
@@ -214,14 +214,17 @@ class PosePrior:
         R = rotation_matrix(self.T_base_target) @ Rotation.from_rotvec(xi[:, :3]).as_matrix()
         return R, self.T_base_target.apply(center + xi[:, 3:])
 
-    def _n_drawn(self, slack: tuple[float, float]) -> int:
-        """Number of poses that cover the rough one's spread: for each that the search resolves, one a direction."""
+    def _n_drawn(self, slack: tuple[float, float], n_anchors: int) -> int:
+        """Number of poses that cover the rough one's spread: for each that the search resolves, one a direction.
+
+        Each anchor has one at least.
+        """
         if self.covariance is None:
             return 0
         scale = np.repeat(slack, 3)
         power = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
         places = len(power) * float(np.prod(np.sqrt(np.maximum(power, 1.0))))
-        return int(np.clip(places, FEWEST_DRAWN, MOST_DRAWN))
+        return int(min(max(places, n_anchors), MOST_DRAWN))
 
     def narrow(
         self, poses: CandidatePoses, center: Vector3, slack: tuple[float, float], rng: np.random.Generator
@@ -233,7 +236,7 @@ class PosePrior:
         if self.is_flat:
             return poses
         kept = poses.subset(np.flatnonzero(self.admits(poses.rotations, poses.carry(center), center, slack)))
-        drawn, moved = self.draw(self._n_drawn(slack), center, rng)
+        drawn, moved = self.draw(self._n_drawn(slack, len(poses.anchors_target)), center, rng)
         rows = np.arange(len(drawn), dtype=np.int64) % len(poses.anchors_target)
         anchors = moved + np.einsum("nij,nj->ni", drawn, poses.anchors_target[rows] - center)
         return CandidatePoses(

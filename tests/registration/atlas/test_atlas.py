@@ -74,7 +74,7 @@ def test_where_only_the_likeliest_map_is_asked_for_poses_it_is_the_right_one(
     survey = rooms[1]["cellar.map"][0].target
     asked_all = [found_in_hall, (survey, register(atlas, survey))]
     # Then no other map is searched, and a walk is binned by that one's length.
-    for name in ("MAX_ASKED", "MIN_SHORTLIST"):
+    for name in ("MAX_ASKED", "N_CANDIDATES"):
         monkeypatch.setattr(f"magmatch.registration.search.retrieval.{name}", 1)
     for target, expected in asked_all:
         found = register(atlas, target)

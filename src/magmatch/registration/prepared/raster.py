@@ -10,12 +10,10 @@ from numpy.lib.stride_tricks import sliding_window_view
 from magmatch.compiled import compiled, compiled_ahead, record
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.estimation.limits import MAX_RASTER, MAX_REFINED
+from magmatch.estimation.pose_prior import RARE
 from magmatch.field.map import FieldMap
 from magmatch.grid import RegularGrid
 from magmatch.typing import Indices, Mask, Points, Scalars, Tensors, Vectors
-
-# Least share of the map's own samples that its raster must know.
-MIN_COVERED = 0.95
 
 
 class Raster(NamedTuple):
@@ -76,7 +74,7 @@ def rasterize(field_map: FieldMap, spacing: float, draws: Sequence[Any]) -> Rast
         raster = _rasterize(field_map, samples, spacing, draws)
         *_, is_known = raster.lookup(samples)
         # On a coarse grid, a thin layer may fall between the points, and a line may lose its surroundings.
-        is_lost = is_known.mean() < MIN_COVERED and raster.sd.size < MAX_RASTER / 8
+        is_lost = is_known.mean() < 1 - RARE and raster.sd.size < MAX_RASTER / 8
         # Partly known cells match nothing. Around a line most cells are such: half of the known region would be lost.
         is_ragged = raster.whole_share < 1 - OUTLIER_SHARE and 8 * (raster.sd >= 0).sum() < MAX_REFINED
         if raster.spacing > spacing or not (is_lost or is_ragged):

@@ -7,11 +7,9 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from magmatch.estimation.candidate_poses import (
-    CandidatePoses,
-)
+from magmatch.estimation.candidate_poses import CandidatePoses
 from magmatch.estimation.cubes import SAMPLING, even_choice, thin
-from magmatch.estimation.limits import COARSER, FEW_POINTS, MAX_PAIRS, MORE_NEIGHBOURS, N_COARSE_OF_WALK, N_LIKE_PAIRS
+from magmatch.estimation.limits import COARSER, FEW_POINTS, MAX_PAIRS, MORE_NEIGHBOURS, N_LIKE_PAIRS
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.features.pairs import align_pairs, pair_invariants, whiten_pairs
@@ -35,8 +33,8 @@ class PairSearchConfig(Settings):
     # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
     n_pairs: int = Field(default=FEW_POINTS, ge=1)
     n_neighbours: int = Field(default=N_LIKE_PAIRS, ge=1)
-    # Distinct poses that are refined coarsely.
-    n_coarse: int = Field(default=N_COARSE_OF_WALK, ge=1)
+    # Distinct poses that are refined coarsely: as many as pairs that propose.
+    n_coarse: int = Field(default=FEW_POINTS, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

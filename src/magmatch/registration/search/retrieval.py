@@ -4,7 +4,7 @@
 For a walk, pairs of points propose poses, and those that agree with each other are votes: in the right map many pairs
 propose one and the same pose, in any other map each proposes its own. Votes need the maps' pair tables only, so
 maps are asked without reading their fields, and of thousands only those that hold pairs like the walk's. Other
-targets score a few poses against each map's field.
+targets score a few poses against each map's field. Either way a map is asked with a part of what a search tries.
 """
 
 from collections.abc import Iterable
@@ -16,13 +16,15 @@ from magmatch.compiled import compiled
 from magmatch.data.survey import Survey
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE, pose_inaccuracy, same_pose
 from magmatch.estimation.limits import (
+    COARSER,
+    FEW_POINTS,
     MAX_ASKED,
+    N_ANCHORS,
     N_CANDIDATES,
-    N_JUDGES,
+    N_LIKE_PAIRS,
+    N_NEIGHBOURS,
     N_REFINED,
-    SHARED_LENGTH,
-    VOTING_ANCHORS,
-    VOTING_PAIRS,
+    RARER,
 )
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
@@ -44,10 +46,6 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 # Maps with this share of the most votes are searched in full, too.
 SHORTLIST_SHARE = 0.5
-# Poses nearer than this are one, in the base's correlation lengths at the walk's centre.
-SAME_PLACE = 0.65
-# Squared distance (in standard deviations) of a pair's invariants at which its vote is worth 1/e.
-DISTANCE2 = 8.0
 
 
 def shortlist(votes: Scalars) -> list[int]:
@@ -59,13 +57,14 @@ def shortlist(votes: Scalars) -> list[int]:
 
 def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:
     """Share of a walk's pairs that agree on one pose, in the maps that hold pairs most like them; 0 elsewhere."""
-    few = config.model_copy(update=dict(zip(("n_pairs", "n_neighbours"), VOTING_PAIRS, strict=True)))
+    few = config.model_copy(update={"n_pairs": FEW_POINTS // RARER, "n_neighbours": N_LIKE_PAIRS // RARER})
     asked: dict[int, Question] = {}
     questions = []
     for table in tables:
-        step = round(float(np.log(table.length) / np.log(SHARED_LENGTH)))
+        # Maps whose correlation lengths differ by less than a factor share one binning of the walk.
+        step = round(float(np.log(table.length) / np.log(COARSER)))
         if step not in asked:
-            walk = walk_of(target, SHARED_LENGTH**step)
+            walk = walk_of(target, COARSER**step)
             asked[step] = Question.of(walk, table, few, np.random.default_rng(seed))
         questions.append(asked[step])
     votes = np.zeros(len(tables))
@@ -94,7 +93,7 @@ class Question(NamedTuple):
         if not len(self.first) or not len(table.first):
             return 0.0
         _, distance2 = table.nearest(self.invariants, 1, n_leaves=1)
-        return float(_weights(distance2).mean())
+        return float(_weights(distance2, self.invariants).mean())
 
     def votes(self, table: PairTable, n_neighbours: int) -> float:
         """Share of the pairs that agree on the pose most of them agree on."""
@@ -103,14 +102,17 @@ class Question(NamedTuple):
         similar, distance2 = table.nearest(self.invariants, n_neighbours)
         poses = pair_poses(table, self.walk, self.first, self.second, similar)
         centers = poses.carry(self.walk.positions.mean(axis=0))
-        weights, angle, distance = _weights(distance2).ravel(), same_pose(table.length)[0], SAME_PLACE * table.length
-        largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, angle, distance)
+        weights = _weights(distance2, self.invariants).ravel()
+        largest = _largest_agreement(poses.rotations, centers, poses.anchor_rows, weights, *same_pose(table.length))
         return float(largest / len(self.first))
 
 
-def _weights(distance2: Matrix) -> Matrix:
-    """Pairs unlike any of the base fall to its most unlike ones, all in one place: such agreement means little."""
-    return np.asarray(np.exp(-distance2 / DISTANCE2))
+def _weights(distance2: Matrix, invariants: Matrix) -> Matrix:
+    """Votes by squared distances in standard deviations: 1/e where right pairs are, one for each invariant.
+
+    Pairs unlike any of the base fall to its most unlike ones, all in one place: such agreement means little.
+    """
+    return np.asarray(np.exp(-distance2 / invariants.shape[1]))
 
 
 def count_agreement(bases: Iterable[PreparedMap], target: PreparedMap, seed: int) -> Scalars:
@@ -119,11 +121,10 @@ def count_agreement(bases: Iterable[PreparedMap], target: PreparedMap, seed: int
 
 
 def _best_score(base: PreparedMap, target: PreparedMap, rng: np.random.Generator) -> float:
-    n_anchors, n_neighbours = VOTING_ANCHORS
-    anchors = choose_anchors(target, n_anchors, rng)
-    neighbours = similar_points(base, target, anchors, n_neighbours)
+    anchors = choose_anchors(target, N_ANCHORS // RARER, rng)
+    neighbours = similar_points(base, target, anchors, N_NEIGHBOURS // RARER)
     poses = frame_poses(base, target, anchors, neighbours)
-    judges = judging_samples(poses.anchors_target, target, N_JUDGES, rng)
+    judges = judging_samples(poses.anchors_target, target, FEW_POINTS, rng)
     sd = pose_inaccuracy(common_length(base, target))
     scores = score_poses(poses, judges, weigh_samples(base, target), base, *sd, OUTLIER_SHARE)
     return max(float(scores.max()), 0.0)

@@ -8,7 +8,7 @@ residual shows it. Draws from the maps' posteriors show it: each shifts the pose
 import numpy as np
 
 from magmatch.estimation.cubes import sum_by_cube
-from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.geometry import ROUNDING, rotate_vectors, transform_points
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import (
     Lookup,
@@ -21,9 +21,6 @@ from magmatch.registration.refine.refinement import (
     some_rows,
 )
 from magmatch.typing import Covariance6, Matrix, Points, Vectors
-
-# Relative variance or information below which there is none but rounding.
-ROUNDING = 1e-12
 
 
 def joint_covariance(pose: RefinedPose, cell_side: float) -> Matrix | None:
