@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-# Most parts listed one by one, the longest.
-MAX_LISTED = 40
 # Where the place is known at the end and the pose is not, nothing was lost.
 UNCERTAIN = (
     "The place is known to the end, the pose not as well as asked for: see the standard deviations below.",
@@ -64,7 +62,7 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
         page.Section(f"In {m.survey.name}", [page.figure_row([path_figure(track, k)])])
         for k, m in enumerate(track.maps)
     ]
-    longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[:MAX_LISTED]
+    longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[: page.MAX_LISTED]
     rows = [
         [f"{s.t0:.2f}", f"{s.t1 - s.t0:.1f} s", s.phase, s.map or "", s.why]
         for s in sorted(longest, key=lambda s: s.t0)
