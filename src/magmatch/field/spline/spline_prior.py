@@ -22,6 +22,11 @@ HIGHEST_TERM = 3
 # The prior all but ends where no sensor was: that is where the sources stand, and where the field may change fast.
 # Factor per cell beyond the first ring; with 1 the rim of a room is a quarter less accurate.
 OUTSIDE_DECAY = 0.01
+# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset. A
+# zero-mean field of that size would otherwise dictate lengthscale and signal.
+CONSTANT_SD = 1e-4
+# Finer spacings than this share of the lengthscale change nothing but rounding errors.
+HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 
 
 def cell_weights(distance: np.ndarray) -> np.ndarray:
@@ -121,13 +126,6 @@ def _average_over_cell(block: np.ndarray) -> np.ndarray:
     out[same, same] = mean[same, same].mean()
     out[mixed, mixed] = mean[mixed, mixed].mean()
     return out
-
-
-# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset. A
-# zero-mean field of that size would otherwise dictate lengthscale and signal.
-CONSTANT_SD = 1e-4
-# Finer spacings than this share of the lengthscale change nothing but rounding errors.
-HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 
 
 def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
