@@ -16,7 +16,6 @@ from magmatch.viz.pages import page
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-
 # Where the place is known at the end and the pose is not, nothing was lost.
 UNCERTAIN = (
     "The place is known to the end, the pose not as well as asked for: see the standard deviations below.",
@@ -35,19 +34,6 @@ NEXT_STEPS = {
         "Walk farther, with turns; state how far the odometry drifts (--odometry-sd), and use --planar on one floor.",
     ),
 }
-
-
-def next_steps(result: LocalizationResult) -> tuple[str, ...]:
-    """Say what to do, given how the log ended."""
-    return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
-
-
-def verdict_on(result: LocalizationResult) -> str:
-    """Say where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
-    ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
-    ended = "Pose too uncertain at the end" if result.is_place_known else ended
-    share = f"; {result.share_in_words}" if result.is_localized else ""
-    return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
 
 
 def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
@@ -77,6 +63,19 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     page.write_page(path, f"magmatch: {track.log.name}", sections)
 
 
+def verdict_on(result: LocalizationResult) -> str:
+    """Say where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
+    ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
+    ended = "Pose too uncertain at the end" if result.is_place_known else ended
+    share = f"; {result.share_in_words}" if result.is_localized else ""
+    return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
+
+
+def next_steps(result: LocalizationResult) -> tuple[str, ...]:
+    """Say what to do, given how the log ended."""
+    return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
+
+
 def path_figure(track: Track, k: int) -> "Figure":
     """The poses stated in one of the maps, over its |B|."""
     field_map = track.maps[k]
@@ -97,6 +96,11 @@ def path_figure(track: Track, k: int) -> "Figure":
     return magnitude_slice(
         "|B| of the map", cut, *field_on(cut, field_map), limits, [path], "; points: stated poses, coloured by sd"
     )
+
+
+def _name(track: Track, k: int) -> str:
+    names = dict.fromkeys(e.map for e in track.estimates if e.map is not None)
+    return sorted(names)[k]
 
 
 def status_figure(track: Track) -> "Figure":
@@ -121,8 +125,3 @@ def sd_figure(result: LocalizationResult) -> "Figure":
         "How accurate the pose was", [trace], "t (s)", "sd in the worst direction (m)", is_equal=False
     )
     return draw.described(figure, f"Standard deviation of the stated poses over time: {result.share_in_words}.")
-
-
-def _name(track: Track, k: int) -> str:
-    names = dict.fromkeys(e.map for e in track.estimates if e.map is not None)
-    return sorted(names)[k]
