@@ -45,13 +45,11 @@ class Settings(BaseModel, metaclass=cast("Any", _OneSentence)):  # type: ignore[
         """A mapping given for a part changes what it names, and leaves the rest as this class has it by default."""
         if not isinstance(given, Mapping):
             return given
-        parts = {name: field.get_default(call_default_factory=True) for name, field in cls.model_fields.items()}
-        return {
-            name: over(part.model_dump(), value)
-            if isinstance(part := parts.get(name), BaseModel) and isinstance(value, Mapping)
-            else value
-            for name, value in given.items()
-        }
+        fields = {name: field for name, field in cls.model_fields.items() if name in given}
+        parts = {name: field.get_default(call_default_factory=True) for name, field in fields.items()}
+        below = {name: part.model_dump() for name, part in parts.items() if isinstance(part, BaseModel)}
+        changed = over(below, given)
+        return {name: changed[name] for name in given}
 
 
 def over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -36,12 +36,11 @@ from magmatch.data.formats.sniff import STORED
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import read_bytes
 from magmatch.errors import DataFormatError, first_fault
-from magmatch.geometry import transform_from_matrix
+from magmatch.geometry import ORTHONORMAL_TOLERANCE, transform_from_matrix
 
 MAX_BYTES = 2 << 30
 # Some 200 bytes for each of 300,000 arrays.
 MAX_HEADER = 64 << 20
-UNIT_QUATERNION_TOLERANCE = 1e-9
 START = b"{" + STORED + b'":{"sha256":"'
 HEX = 64
 # Behind the header's length, its start, and the digest.
@@ -338,7 +337,7 @@ def _made(kind: Callable[..., Any], values: dict[str, Any]) -> Any:
 
 
 def _rotation(quaternions: np.ndarray) -> Rotation:
-    if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1, rtol=0, atol=UNIT_QUATERNION_TOLERANCE):
+    if not np.allclose(np.linalg.norm(quaternions, axis=-1), 1, rtol=0, atol=ORTHONORMAL_TOLERANCE):
         msg = "expected unit quaternions"
         raise ValueError(msg)
     # To normalise once more would change their last bits.

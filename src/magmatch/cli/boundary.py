@@ -23,7 +23,7 @@ USER_ERRNOS = {
 UsageError = typer.BadParameter.__bases__[0]
 
 
-def guarded(action: Callable[[], object], narrator: Narrator) -> int:
+def guarded(action: Callable[[], int | None], narrator: Narrator) -> int:
     """Run a command and turn whatever it raises into an exit code."""
     try:
         outcome = action()
@@ -48,7 +48,7 @@ def guarded(action: Callable[[], object], narrator: Narrator) -> int:
         except OSError:
             _let_go_of_output()
         return code
-    return outcome if isinstance(outcome, int) else DONE
+    return outcome or DONE
 
 
 def _let_go_of_output() -> None:

@@ -5,7 +5,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, cast, get_type_hints
 
 import typer
 from pydantic import ValidationError
@@ -86,9 +86,8 @@ def command(
 def narrator_of(ctx: typer.Context) -> Narrator:
     """The narrator of this run (a fresh one where the program is not run through `main`)."""
     root: Any = ctx.find_root()
-    if not isinstance(root.obj, Narrator):
-        root.obj = Narrator()
-    return root.obj
+    root.obj = root.obj or Narrator()
+    return cast("Narrator", root.obj)
 
 
 def _note_verbose(ctx: typer.Context, value: bool) -> None:

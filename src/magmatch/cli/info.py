@@ -20,6 +20,14 @@ EXAMPLES = (
     "magmatch info drive.mcap",
     "magmatch info result.json",
 )
+# Units of the facts that `info` shows, by name.
+UNITS = {
+    "pose_sd": "m", "low": "m", "high": "m", "extent": "m", "path_length": "m", "median_step": "m",
+    "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
+    "first": "s", "last": "s", "duration": "s", "rate": "Hz", "longest_gap": "s",
+    "sensor_bias_spread": "uT", "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
+    "spline": "uT", "divergence_free": "uT", "curl_free": "uT", "harmonic": "uT",
+}  # fmt: skip
 
 
 @command("info", EXAMPLES, surveys=(), reads="FILE")
@@ -114,16 +122,6 @@ def info_table(facts: Mapping[str, Any]) -> str:
     rows = list(_rows(facts))
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:{width}}  {text}" for name, text in rows)
-
-
-# Units of the facts that `info` shows, by name.
-UNITS = {
-    "pose_sd": "m", "low": "m", "high": "m", "extent": "m", "path_length": "m", "median_step": "m",
-    "median_magnitude": "uT", "smallest_magnitude": "uT", "largest_magnitude": "uT", "mean": "uT", "sd": "uT",
-    "first": "s", "last": "s", "duration": "s", "rate": "Hz", "longest_gap": "s",
-    "sensor_bias_spread": "uT", "lengthscale": "m", "spacing": "m", "signal_sd": "uT", "noise_sd": "uT",
-    "spline": "uT", "divergence_free": "uT", "curl_free": "uT", "harmonic": "uT",
-}  # fmt: skip
 
 
 def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:

@@ -22,16 +22,22 @@ if TYPE_CHECKING:
 
 def read_survey_or_map(path: Path, layouts: Layouts, survey: str = "") -> "Survey | FieldMap":
     """Read a file according to its content."""
-    from magmatch.data.formats.sniff import sniff
     from magmatch.data.read import read_survey
 
+    return read_map(path) if is_map(path, layouts, survey) else read_survey(path, layouts.of(survey))
+
+
+def is_map(path: Path, layouts: Layouts, survey: str = "") -> bool:
+    """Whether a file is a saved map, for which no layout of its own may be stated, or a survey."""
+    from magmatch.data.formats.sniff import sniff
+
     if sniff(path) != "map":
-        return read_survey(path, layouts.of(survey))
+        return False
     stated = [name for of, name in layouts.given if of == survey]
     if stated and survey:
         msg = f"{path} is a saved map, whose units and frame are known; leave out {flag_of(survey, stated[0])}"
         raise ConfigurationError(msg)
-    return read_map(path)
+    return True
 
 
 def read_map(path: Path) -> "FieldMap":
@@ -44,10 +50,9 @@ def read_map(path: Path) -> "FieldMap":
 
 def read_samples(path: Path, layouts: Layouts, survey: str = "") -> "Survey":
     """Read the samples of a survey, or those a saved map was made from."""
-    from magmatch.data.survey import Survey
+    from magmatch.data.read import read_survey
 
-    read = read_survey_or_map(path, layouts, survey)
-    return read if isinstance(read, Survey) else read.survey
+    return read_map(path).survey if is_map(path, layouts, survey) else read_survey(path, layouts.of(survey))
 
 
 def read_poses_of(path: Path, layouts: Layouts) -> "Trajectory | None":

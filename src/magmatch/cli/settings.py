@@ -136,8 +136,10 @@ def _spread(option: str, text: str, example: str) -> tuple[float, float]:
 
 def read_settings(path: Path) -> dict[str, Any]:
     """Read settings from a YAML file or an earlier result."""
+    from magmatch.data.tables.yaml_text import mapping_in
+
     content = _parsed(path)
-    if isinstance(content, dict) and str(content.get("schema", "")).startswith(RESULTS):
+    if str(mapping_in(content).get("schema")).startswith(RESULTS):
         content = content.get("config")
     if content is None:
         return {}
@@ -165,9 +167,9 @@ def _parsed(path: Path) -> Any:
     except yaml.MarkedYAMLError as error:
         line = None if error.problem_mark is None else error.problem_mark.line + 1
         raise DataFormatError(path, f"is not YAML: {error.problem or error.context}", line=line) from None
+    except DataFormatError:
+        raise
     except (yaml.YAMLError, ValueError) as error:
-        if isinstance(error, DataFormatError):
-            raise
         raise DataFormatError(path, f"is not YAML: {' '.join(str(error).split())[:200]}") from None
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_result, read_survey_or_map
+from magmatch.cli.inputs import is_map, read_map, read_result, read_samples
 from magmatch.cli.narration import say
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import DataFormatError
@@ -30,18 +30,15 @@ def transform(
     Positions are transformed, field vectors rotated. A saved map stays a map, unless OUT ends in .csv: then its
     samples are written.
     """
-    from magmatch.data.survey import Survey
-
     check_outputs((out,), inputs=(target, by))
     result = read_result(by)
     if result.T_base_target is None:
         message = f"was not accepted ({result.status}), so there is no transform to apply: {result.reason}"
         raise DataFormatError(by, message)
-    read = read_survey_or_map(target, layouts, "target")
-    if not isinstance(read, Survey) and out.suffix.lower() != ".csv":
-        read.transformed(result.T_base_target).save(out)
+    if out.suffix.lower() != ".csv" and is_map(target, layouts, "target"):
+        read_map(target).transformed(result.T_base_target).save(out)
         say(f"Wrote the map in the base's frame to {out}")
         return
-    survey = read if isinstance(read, Survey) else read.survey
+    survey = read_samples(target, layouts, "target")
     survey.transformed(result.T_base_target, frame="base").save(out)
     say(f"Wrote {len(survey)} samples in the base's frame to {out} (metre, tesla)")

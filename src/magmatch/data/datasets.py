@@ -148,11 +148,11 @@ def _download(dataset: Dataset, files: list[str], cache: Path) -> None:
         _keep(cache / file, content)
 
 
-def _reason(error: Exception) -> str:
+def _reason(error: OSError) -> str:
     """Say in few words why a download failed: the full text of connection errors runs over many lines."""
     response = getattr(error, "response", None)
     if response is not None:
         return f"HTTP status {response.status_code}"
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:  # of the cache, not of the net
+    if error.filename is not None and error.strerror:  # of the cache, not of the net
         return f"{error.strerror}: {error.filename}; XDG_CACHE_HOME names another folder"
     return type(error).__name__

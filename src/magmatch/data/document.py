@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.arguments import expect_path
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.text import read_bytes
+from magmatch.data.tables.yaml_text import mapping_in
 from magmatch.errors import DataFormatError, first_fault
 from magmatch.geometry import transform_from_matrix
 
@@ -26,6 +27,7 @@ T = TypeVar("T")
 _DIGEST = re.compile("[0-9a-fA-F]{16,}")
 # Keys whose value may look like one.
 _WORDS = {"version", "base", "reason", "name"}
+_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
 
 
 def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
@@ -65,7 +67,7 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
     try:
         text = content.decode("utf-8-sig")
         loaded = json.loads(text, object_pairs_hook=unique_keys, parse_constant=_refuse, parse_float=_finite)
-        document: dict[str, Any] = loaded if isinstance(loaded, dict) else {}
+        document: dict[str, Any] = mapping_in(loaded)
         # Files from elsewhere need not have a checksum.
         is_changed = document.get("checksum") not in (None, checksum(document))
     except (ValueError, RecursionError) as error:
@@ -83,9 +85,6 @@ def read_document(path: str | Path, schema: str, what: str, max_bytes: int) -> d
     if damaged is not None and "checksum" not in document:
         raise DataFormatError(path, f"key {damaged[:40]!r} seems to be a damaged 'checksum'; make the file again")
     return document
-
-
-_ADAPTERS: dict[type, TypeAdapter[Any]] = {}
 
 
 def adapter_of(kind: type[T]) -> TypeAdapter[T]:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.datasets import DATASETS, fetch, verified_files
 from magmatch.data.survey import Survey
+from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, import_extra
 from magmatch.typing import Matrix, Scalars
 
@@ -18,7 +19,6 @@ logger = logging.getLogger(__name__)
 
 # Some recordings count in "the Earth's field at the site"; 45 uT reproduces the other sensor of the same robot.
 TESLA_PER_SITE_UNIT = 45e-6
-MICROTESLA = 1e-6
 # The two levels of the CEA building; between them lie stairs, below the first a slope.
 CEA_FLOORS = {"floor1": (2.3, 3.8), "floor2": (5.8, 6.8)}  # m
 # The authors of the kok recordings leave out the first samples of this one.
@@ -47,7 +47,7 @@ def _load_kok(files: Mapping[str, Path]) -> dict[str, Survey]:
         orientations = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]) * Rotation.from_euler("z", 90, degrees=True)
         survey = Survey(
             positions=positions,
-            field=orientations.apply(content["m"]) * MICROTESLA,
+            field=orientations.apply(content["m"]) * TESLA_PER_UNIT["uT"],
             times=np.asarray(content["t"], dtype=np.float64),
             orientations=orientations,
             frame=f"kok-{place}",
@@ -63,7 +63,8 @@ def _load_cea(files: Mapping[str, Path]) -> dict[str, Survey]:
     surveys = {}
     for walk in ("training", "test"):
         rows = _numbers(files[f"corridor_{walk}.csv"])
-        whole = Survey(rows[:, :3].copy(), rows[:, 3:] * MICROTESLA, frame="cea", name=f"cea/{walk}", pose_sd=0.05)
+        field = rows[:, 3:] * TESLA_PER_UNIT["uT"]
+        whole = Survey(rows[:, :3].copy(), field, frame="cea", name=f"cea/{walk}", pose_sd=0.05)
         surveys[walk] = whole
         for floor, (low, high) in CEA_FLOORS.items():
             height = whole.positions[:, 2]
@@ -74,7 +75,7 @@ def _load_cea(files: Mapping[str, Path]) -> dict[str, Survey]:
 def _load_aalto(files: Mapping[str, Path]) -> dict[str, Survey]:
     """Every sensor and run; the robot's plane is z = 0, its sensors 0.20 to 0.25 m above the floor."""
     surveys = {}
-    for sensor, unit in (("invensense", MICROTESLA), ("trivisio", TESLA_PER_SITE_UNIT)):
+    for sensor, unit in (("invensense", TESLA_PER_UNIT["uT"]), ("trivisio", TESLA_PER_SITE_UNIT)):
         for run in (1, 2, 4):
             times, plane, field = (_numbers(files[f"{sensor}/{run}-{part}.csv"]) for part in ("time", "loc", "mag"))
             positions = np.column_stack([plane, np.zeros(len(plane))])
@@ -109,7 +110,7 @@ def _load_kaist(files: Mapping[str, Path]) -> dict[str, Survey]:
     with h5py.File(files["magmap-KI-1F-0.6p.mat"]) as content:
         rows = np.asarray(content["map"], dtype=np.float64).T
     positions = np.column_stack([rows[:, :2], np.zeros(len(rows))])
-    return {"floor": Survey(positions, rows[:, 2:5] * MICROTESLA, frame="kaist", name="kaist/floor")}
+    return {"floor": Survey(positions, rows[:, 2:5] * TESLA_PER_UNIT["uT"], frame="kaist", name="kaist/floor")}
 
 
 def _numbers(path: Path) -> Matrix:

@@ -19,22 +19,6 @@ from magmatch.progress import Progress, followed
 from magmatch.runner import Workers
 from magmatch.threads import single_threaded
 
-
-def surveys_of(given: Survey | Sequence[Survey]) -> tuple[Survey, ...]:
-    """Checked: each part and all together can be a survey."""
-    if not isinstance(given, list | tuple):
-        require_survey(given)
-        return (cast("Survey", given),)
-    if not given:
-        msg = f"survey: expected a Survey or several, got {found(given)} without any; read_survey reads one"
-        raise SurveyError(msg)
-    for part in given:
-        require_part(part)
-    require_one_frame(given)
-    require_survey(given[0].merged(*given[1:]))
-    return tuple(given)
-
-
 log = logging.getLogger(__name__)
 
 
@@ -102,3 +86,18 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
     # The prior stays; its numbers were those of the samples left out, too.
     fitted = choose_and_fit(subsets(surveys, ~is_out), field_map.config, run)[0]
     return replace(fitted, biases=biases and biases.subset(surveys, ~is_out))
+
+
+def surveys_of(given: Survey | Sequence[Survey]) -> tuple[Survey, ...]:
+    """Checked: each part and all together can be a survey."""
+    if not isinstance(given, list | tuple):
+        require_survey(given)
+        return (cast("Survey", given),)
+    if not given:
+        msg = f"survey: expected a Survey or several, got {found(given)} without any; read_survey reads one"
+        raise SurveyError(msg)
+    for part in given:
+        require_part(part)
+    require_one_frame(given)
+    require_survey(given[0].merged(*given[1:]))
+    return tuple(given)

@@ -15,6 +15,8 @@ from magmatch.typing import Indices, Mask, Points
 # Size of a stretch: in lengthscales, at most this share of the extent.
 STRETCH_IN_LENGTHSCALES, STRETCH_IN_EXTENTS = 4.0, 0.25
 N_GROUPS, FOLDS = 5, (1, 3)
+# So large a share of what is left out has to lie within so many standard deviations.
+COVERAGE, IN_SDS = 0.95, 1.96
 # Fewer samples are not divided.
 FEWEST_SAMPLES = 40
 # Size of cubes and of the slice, in lengthscales; the slice holds at most this share of the samples.

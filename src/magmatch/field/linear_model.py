@@ -20,6 +20,9 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
 Index = tuple[int, int, int]
+# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and at how
+# many samples a refitted field is compared with the stored one.
+REFIT_TOLERANCE, N_CHECKED = 1e-6, 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,11 +115,6 @@ class FieldPosterior(Protocol):
 
     def knows(self, points: Points) -> Mask:
         """Say where the model has basis functions informed by data; elsewhere it falls back to the prior."""
-
-
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and at how
-# many samples a refitted field is compared with the stored one.
-REFIT_TOLERANCE, N_CHECKED = 1e-6, 2000
 
 
 def is_refit(posterior: FieldPosterior, weights: Scalars, points: Points) -> bool:

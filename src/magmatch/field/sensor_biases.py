@@ -78,23 +78,6 @@ class SensorBiases:
         return {"sensor_bias_spread": self.spread, "sensor_biases": logs}
 
 
-def without_bias(survey: Survey, bias: Vector3) -> Survey:
-    """The survey as measured by a magnetometer without the bias."""
-    if survey.orientations is None or not np.any(bias):
-        return survey
-    return replace(survey, field=survey.field - survey.orientations.apply(bias))
-
-
-def no_biases(n_logs: int, spread: float = 0.0) -> SensorBiases:
-    """Give logs whose sensors have none their biases: zero."""
-    return SensorBiases(np.zeros((n_logs, 3)), np.zeros((n_logs, 3)), spread)
-
-
-def biased_logs(surveys: Sequence[Survey]) -> list[int]:
-    """The logs that may have a bias: it turns with the sensor, so orientations must be known."""
-    return [k for k, survey in enumerate(surveys) if survey.orientations is not None and not stuck_axes(survey)]
-
-
 def solve_biases(
     posterior: FieldPosterior,
     R_model_map: Rotation,
@@ -127,10 +110,21 @@ def solve_biases(
     return replace(found, spread=chosen)
 
 
-def shared_errors(posterior: FieldPosterior, samples: Survey) -> float:
-    """How many neighbouring samples of a fit share their errors: the autocorrelation time of its residuals."""
-    residual = samples.field - posterior.evaluate(samples.positions).field
-    return integrated_autocorrelation_time(residual, np.arange(len(samples)))
+def without_bias(survey: Survey, bias: Vector3) -> Survey:
+    """The survey as measured by a magnetometer without the bias."""
+    if survey.orientations is None or not np.any(bias):
+        return survey
+    return replace(survey, field=survey.field - survey.orientations.apply(bias))
+
+
+def biased_logs(surveys: Sequence[Survey]) -> list[int]:
+    """The logs that may have a bias: it turns with the sensor, so orientations must be known."""
+    return [k for k, survey in enumerate(surveys) if survey.orientations is not None and not stuck_axes(survey)]
+
+
+def no_biases(n_logs: int, spread: float = 0.0) -> SensorBiases:
+    """Give logs whose sensors have none their biases: zero."""
+    return SensorBiases(np.zeros((n_logs, 3)), np.zeros((n_logs, 3)), spread)
 
 
 def _said_by_all(
@@ -175,3 +169,9 @@ def _likeliest_spread(values: Scalars, along: Scalars) -> float:
     """The spread under which the samples are likeliest, T, by what they say along independent directions."""
     evidence = [0.5 * (s**2 * along**2 / (1 + s**2 * values) - np.log1p(s**2 * values)).sum() for s in SPREADS]
     return float(SPREADS[int(np.argmax(evidence))])
+
+
+def shared_errors(posterior: FieldPosterior, samples: Survey) -> float:
+    """How many neighbouring samples of a fit share their errors: the autocorrelation time of its residuals."""
+    residual = samples.field - posterior.evaluate(samples.positions).field
+    return integrated_autocorrelation_time(residual, np.arange(len(samples)))

@@ -155,7 +155,7 @@ class Belief:
             return False
         walked, length = self._window.steps["walked"], self._known.length
         is_long = walked[-1] - walked[self._since] >= self._config.min_window * length
-        return bool(is_long and walked[-1] - self.searched_at >= self._config.search_every * length)
+        return bool(is_long and walked[-1] - self.searched_at >= self._config.min_window / 2 * length)
 
     def search(self) -> None:
         """Search for hypotheses without a prior, using the bins that count."""

@@ -26,10 +26,9 @@ class LocalizerConfig(Settings):
     bias_drift: float = Field(default=2e-8, ge=0)
     # Its gain against that of the map's sensor: two of one kind, each calibrated.
     gain_sd: float = Field(default=0.007, gt=0)
-    # Path whose evidence counts, path that it takes to begin a search, and path between two searches.
+    # Path whose evidence counts, and path that it takes to begin a search: half of it lies between two searches.
     window: float = Field(default=8.0, gt=0)
     min_window: float = Field(default=1.5, gt=0)
-    search_every: float = Field(default=0.75, gt=0)
     # Path of the latest evidence, by which a trusted hypothesis may be doubted.
     recent: float = Field(default=2.5, gt=0)
     # Path for which a place must stay known before it is stated: the evidence by which it may be doubted is then new.

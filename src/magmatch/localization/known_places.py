@@ -38,8 +38,9 @@ class KnownPlaces:
     def __init__(self, place: Place, loader: Executor | None = None) -> None:
         self.loader = loader
         # The folder of maps, or the only map.
-        self.atlas: Atlas | None = place if isinstance(place, Atlas) else None
-        self.alone: FieldMap | MapIndex | None = None if isinstance(place, Atlas) else place
+        self.atlas: Atlas | None
+        self.alone: FieldMap | MapIndex | None
+        self.atlas, self.alone = (place, None) if isinstance(place, Atlas) else (None, place)
         self._making: dict[AtlasEntry | None, Future[KnownMap]] = {}
         self._ready: dict[AtlasEntry | None, KnownMap] = {}
         self._fingerprint: str | None = None

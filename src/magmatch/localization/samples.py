@@ -9,12 +9,12 @@ import numpy as np
 
 from magmatch.arguments import found, numbers_of
 from magmatch.compiled import compiled
-from magmatch.data.checks import MAX_FIELD, too_large
+from magmatch.data.checks import MAX_FIELD, ODD_SPEED, too_large
 from magmatch.number_text import told
 from magmatch.typing import Matrix, Vector3
 
-# A body that moves faster has not moved: its odometry began anew, m/s (and m, of clocks that jitter).
-MOST_SPEED, MOST_STEP = 50.0, 5.0
+# A body that moves farther at once, and faster than bodies do, has not moved: its odometry began anew. m
+MOST_STEP = 5.0
 # The last sample: time (-inf before the first), the body in an odometry's frame without jumps, field in its axes;
 # where the odometry had it and how its frame lies in that without jumps; and the next, until it is checked.
 SAMPLE = np.dtype(
@@ -166,4 +166,4 @@ def _fault(one):  # type: ignore[no-untyped-def]
         return BACKWARD
     moved = np.sqrt((T[0, 3] - p[0]) ** 2 + (T[1, 3] - p[1]) ** 2 + (T[2, 3] - p[2]) ** 2)
     # Since -inf there was time for any step.
-    return JUMP if moved > MOST_STEP + MOST_SPEED * (one.next_t - one.t) else FINE
+    return JUMP if moved > MOST_STEP + ODD_SPEED * (one.next_t - one.t) else FINE

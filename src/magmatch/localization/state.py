@@ -30,6 +30,10 @@ HYPOTHESIS = np.dtype(
         ("earlier", "f8"), ("drift", "f8"),
     ]
 )  # fmt: skip
+# A bin that misses by more (chi^2 of 3, one in 10,000) counts as if its covariance were so much larger.
+GATE = 21.0
+# Rate of the Matern-3/2 process whose correlation falls to a half where a squared exponential's of length 1 does.
+RATE = 1.67835 / np.sqrt(2 * np.log(2))
 
 
 class Model(NamedTuple):
@@ -48,12 +52,6 @@ class Model(NamedTuple):
     error_rate: float
     nugget_variance: float
     gate: float
-
-
-# A bin that misses by more (chi^2 of 3, one in 10,000) counts as if its covariance were so much larger.
-GATE = 21.0
-# Rate of the Matern-3/2 process whose correlation falls to a half where a squared exponential's of length 1 does.
-RATE = 1.67835 / np.sqrt(2 * np.log(2))
 
 
 def model_of(known: KnownMap, config: LocalizerConfig) -> Model:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import Outcome, StepReport
@@ -14,7 +15,6 @@ from magmatch.typing import Scalars
 
 AXES = ("x", "y", "z")
 SOFT_IRON_PARTS = ("(xx-yy)/2", "zz", "xy", "xz", "yz")
-MICROTESLA = 1e-6
 NEGLIGIBLE = 0.01  # uT, %, deg
 
 
@@ -59,7 +59,7 @@ def known_sensor_step(sensor: SensorCorrection | None) -> StepReport:
 
 def _held_out_step(calibration: CalibrationEstimate) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
-    before, after = (value / MICROTESLA for value in calibration.held_out)
+    before, after = (value / TESLA_PER_UNIT["uT"] for value in calibration.held_out)
     if calibration.is_refused:
         words = f"withdrawn, none was applied: {calibration.refused}"
         return StepReport("all corrections", "unchanged", words, before, after, "uT")
@@ -99,7 +99,8 @@ def _error_report(name: str, label: str, calibration: CalibrationEstimate) -> St
         figures["soft_iron"] = calibration.model.soft_iron.tolist()
     after = calibration.inconsistency[1]
     before = calibration.without.get(name, after) if is_kept else after
-    return StepReport(label, outcome, words, before / MICROTESLA, after / MICROTESLA, "uT", figures)
+    before, after = (value / TESLA_PER_UNIT["uT"] for value in (before, after))
+    return StepReport(label, outcome, words, before, after, "uT", figures)
 
 
 def _channel_report(
@@ -120,7 +121,8 @@ def _channel_report(
     if is_shown and not is_removed:
         words += "; kept (currents.mode: remove takes it off)"
     figures = {"estimate": estimate.tolist(), "sd": sd.tolist(), "p_value": solution.p_value[name]}
-    return StepReport(name, outcome, words, before / MICROTESLA, after / MICROTESLA, "uT", figures)
+    before, after = (value / TESLA_PER_UNIT["uT"] for value in (before, after))
+    return StepReport(name, outcome, words, before, after, "uT", figures)
 
 
 def _estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.ndarray) -> str:

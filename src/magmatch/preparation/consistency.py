@@ -10,6 +10,7 @@ from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.cholesky.multifrontal import Factors, factorise
 from magmatch.field.folds import path_segments
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.selection.spline_layout import COARSER
 from magmatch.field.spline.spline_kernels import right_hand_sides
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 from magmatch.field.tiles.region_model import MOST_OPERATIONS
@@ -22,8 +23,8 @@ STRETCH_IN_LENGTHSCALES = 3.0
 # Splines lie this many to a lengthscale: closer ones are for maps, cost most of the time and change estimates by less
 # than their errors.
 LENGTHSCALE_IN_SPACINGS = 2.5
-# Cells of a map in one piece, which at 8 kB each take half a gigabyte with their factor; and the next spacing tried.
-MOST_CELLS, COARSER = 60_000, 1.25
+# Cells of a map in one piece, which at 8 kB each take half a gigabyte with their factor.
+MOST_CELLS = 60_000
 
 
 def affordable(points: Points, hyperparameters: Hyperparameters) -> Hyperparameters:

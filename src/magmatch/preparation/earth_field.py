@@ -7,7 +7,7 @@ from datetime import date, datetime
 import numpy as np
 
 from magmatch.data.diagnoses import PLAUSIBLE_BEND, inclination_deg
-from magmatch.data.units import field_text
+from magmatch.data.units import TESLA_PER_UNIT, field_text
 from magmatch.errors import ConfigurationError, import_extra
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.typing import Vectors
@@ -16,7 +16,6 @@ from magmatch.typing import Vectors
 PLAUSIBLE_RATIO = (0.6, 1.6)
 # The 14th generation of the model holds for these years.
 FIRST_YEAR, LAST_YEAR = 1900, 2030
-NANOTESLA = 1e-9
 # At a pole no direction is east, and the model divides by zero; nearer than 0.1 m it is not asked.
 MOST_LATITUDE_DEG = 90 - 1e-6
 
@@ -78,7 +77,7 @@ def earth_field(place: Place) -> np.ndarray:
     when = datetime(place.day.year, place.day.month, place.day.day)
     latitude = float(np.clip(place.latitude_deg, -MOST_LATITUDE_DEG, MOST_LATITUDE_DEG))
     components = ppigrf.igrf(place.longitude_deg, latitude, place.height / 1e3, when)
-    return np.array([float(np.ravel(c)[0]) for c in components]) * NANOTESLA
+    return np.array([float(np.ravel(c)[0]) for c in components]) * TESLA_PER_UNIT["nT"]
 
 
 def _ratio_advice(ratio: float) -> str:

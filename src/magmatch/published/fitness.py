@@ -54,15 +54,6 @@ class Fitness:
         return f"fitness {self.value:.3g} over {self.overlap:.0%} of the target"
 
 
-def mean_misalignment(aligned: Vectors, expected: Vectors) -> float:
-    """Mean norm of the cross product of vectors that should agree, over the mean product of their norms."""
-    product = np.linalg.norm(aligned, axis=1) * np.linalg.norm(expected, axis=1)
-    cross = np.linalg.norm(np.cross(aligned, expected), axis=1)
-    is_opposed = np.einsum("ni,ni->n", aligned, expected) < 0
-    total = float(product.sum())
-    return float(np.where(is_opposed, product, cross).sum()) / total if total > 0 else 1.0
-
-
 def fitness(base_map: FieldMap, target: Survey, T_base_target: RigidTransform) -> Fitness:
     """Carry the target's samples into the base map by a transform, and compare directions there.
 
@@ -86,3 +77,12 @@ def fitness(base_map: FieldMap, target: Survey, T_base_target: RigidTransform) -
     aligned = rotate_vectors(target.field[is_known], T_base_target)
     cross = float(np.linalg.norm(np.cross(aligned, expected), axis=1).mean())
     return Fitness(mean_misalignment(aligned, expected), float(is_known.mean()), cross)
+
+
+def mean_misalignment(aligned: Vectors, expected: Vectors) -> float:
+    """Mean norm of the cross product of vectors that should agree, over the mean product of their norms."""
+    product = np.linalg.norm(aligned, axis=1) * np.linalg.norm(expected, axis=1)
+    cross = np.linalg.norm(np.cross(aligned, expected), axis=1)
+    is_opposed = np.einsum("ni,ni->n", aligned, expected) < 0
+    total = float(product.sum())
+    return float(np.where(is_opposed, product, cross).sum()) / total if total > 0 else 1.0

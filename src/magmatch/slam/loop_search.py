@@ -13,7 +13,7 @@ from magmatch.runner import Runner, Shared
 from magmatch.slam.config import MOST_PASSES
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate, Found, Search, Searched, compare
-from magmatch.slam.search.loop_closure import Match, residuals
+from magmatch.slam.search.loop_closure import Anywhere, Match, residuals
 from magmatch.slam.search.predicted import is_known, nearby
 from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, submap_of, table_of, volume_of
 from magmatch.slam.windows import Path, Window
@@ -90,7 +90,7 @@ class LoopSearch:
         pairs = [(k, one) for k, w in enumerate(windows) if w.keeps_shape for one in whole]
         found: list[list[Candidate]] = [[] for _ in windows]
         name, pose = "the comparison of window {} with a whole log", self.places.graph.pose
-        tasks = [Task(name.format(windows[k].node), (windows[k], one, volume, noise)) for k, one in pairs]
+        tasks = [Task(name.format(windows[k].node), (windows[k], one, Anywhere(volume), noise)) for k, one in pairs]
         for (k, _), some in zip(pairs, self.run(compare, tasks, what), strict=True):
             found[k] += [Candidate.beside(node, match, windows[k], pose(node)) for node, match in some]
         return found

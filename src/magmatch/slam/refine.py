@@ -31,7 +31,7 @@ from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate, Found, compare
-from magmatch.slam.search.loop_closure import SAME_SHIFT, Expected
+from magmatch.slam.search.loop_closure import SAME_SHIFT, Rough
 from magmatch.slam.search.predicted import expected_beside
 from magmatch.slam.search.submaps import make_submap
 from magmatch.slam.windows import Path, Window
@@ -187,7 +187,7 @@ def compare_with_passes(
     survey: Survey,
     node: Indices,
     hyperparameters: Hyperparameters,
-    expected: Expected,
+    expected: Rough,
     noise: PathNoise,
     length: float,
 ) -> Found:

@@ -23,7 +23,7 @@ from magmatch.slam.session import Session
 from magmatch.typing import Indices, Matrix, Scalars, Vector3
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.registration_figures import shown_pose
-from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on
+from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, map_in
 from magmatch.viz.verdict import headline
 
 # Steps of the timeline 'registration', from as recorded to registered.
@@ -100,10 +100,7 @@ def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | No
     """Assemble what a recording shows; with a result, its base and its target."""
     surveys = [survey_of(item) for item in drawn]
     names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
-    parts = tuple(
-        Part(name, survey, item if isinstance(item, FieldMap) else None)
-        for name, survey, item in zip(names, surveys, drawn, strict=True)
-    )
+    parts = tuple(Part(name, survey, map_in(item)) for name, survey, item in zip(names, surveys, drawn, strict=True))
     limits = common_limits(*(draw.magnitude_ut(survey.field) for survey in surveys))
     origins = tuple(draw.origins_of(*(survey.positions for survey in surveys)))
     T_base_target = None if result is None else shown_pose(result)

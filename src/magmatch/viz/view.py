@@ -14,6 +14,7 @@ from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.viz.figures.map_figures import field_figures
 from magmatch.viz.figures.registration_figures import links_figure, scene_figures
+from magmatch.viz.figures.slices import map_in
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages.map_page import map_sections
 from magmatch.viz.pages.page import Section, figure_row, write_page
@@ -48,10 +49,9 @@ def view(
     expect_kind(
         thing, "view", (*kinds, RegistrationResult), "read_survey, FieldMap.load and RegistrationResult.load read one"
     )
-    if isinstance(thing, Survey):
-        return survey_figure(thing)
-    if isinstance(thing, FieldMap):
-        return field_figures(thing)[0]
+    if not isinstance(thing, RegistrationResult):
+        field_map = map_in(thing)
+        return survey_figure(survey_of(thing)) if field_map is None else field_figures(field_map)[0]
     if base is None and target is None:
         return links_figure(thing)
     expect_kind(base, "base", kinds, "view(result, base, target) takes both")
@@ -65,7 +65,8 @@ def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
     """Write one HTML page that shows surveys and maps, each in its own frame."""
     sections = []
     for item in drawn:
-        sections += _of_survey(item) if isinstance(item, Survey) else _of_map(item)
+        field_map = map_in(item)
+        sections += _of_survey(survey_of(item)) if field_map is None else _of_map(field_map)
     write_page(path, f"magmatch: {', '.join(survey_of(item).name for item in drawn)}", sections)
 
 

@@ -14,7 +14,7 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.search import loop_closure
 from magmatch.slam.search.comparison import Searched, compare
-from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Rough, log_density, matches
+from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Anywhere, Rough, log_density, matches
 
 
 def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_begin_from(near, monkeypatch):
@@ -22,7 +22,7 @@ def test_where_the_search_finds_nothing_the_graph_s_expectation_is_a_pose_to_beg
     (found, *_), at = matches(near.window, near.base, near.rough), near.window.center
     assert np.linalg.norm(found.T_base_log.apply(at) - near.rough.T_base_log.apply(at)) < 0.1
     assert found.log_odds > 0
-    assert not matches(near.window, near.base, 100.0)
+    assert not matches(near.window, near.base, Anywhere(100.0))
 
 
 def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):

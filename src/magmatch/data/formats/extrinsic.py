@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.data.tables.number_marks import number_of_text
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.data.tables.text import read_bytes
-from magmatch.data.tables.yaml_text import load_yaml
+from magmatch.data.tables.yaml_text import load_yaml, mapping_in
 from magmatch.errors import ConfigurationError, DataFormatError
 
 EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
@@ -38,10 +38,10 @@ def read_extrinsic(text: str) -> RigidTransform:
 def _from_yaml(path: Path) -> RigidTransform:
     raw = read_bytes(path)
     try:
-        content = load_yaml(raw.decode("utf-8"))
+        content = mapping_in(load_yaml(raw.decode("utf-8")))
     except (yaml.YAMLError, ValueError):
         raise DataFormatError(path, "is not YAML, expected the extrinsic of the magnetometer") from None
-    content = content.get("transform", content) if isinstance(content, dict) else content
+    content = content.get("transform", content)
     try:
         numbers = _listed(content["translation"], "xyz") + _listed(content["rotation"], "xyzw")
     except (KeyError, TypeError, ValueError):

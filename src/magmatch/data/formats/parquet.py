@@ -93,9 +93,9 @@ def _opened(path: str | Path) -> Iterator[Any]:
     try:
         with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False) as file:
             yield file
+    except MagmatchError:
+        raise
     except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-        if isinstance(error, MagmatchError):
-            raise
         words = " ".join(str(error).split())[:150]
         raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
 

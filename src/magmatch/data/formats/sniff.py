@@ -22,6 +22,7 @@ from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import is_folder, is_gzip, read_bytes, text_lines
 from magmatch.data.tables.text_rows import delimiter_of, is_row, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
+from magmatch.data.tables.yaml_text import mapping_in
 from magmatch.errors import DataFormatError
 
 FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone"]
@@ -206,11 +207,10 @@ def _sniff_archive(path: str | Path) -> FileKind:
 def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
     try:
-        content = json.loads(read_bytes(path).decode("utf-8-sig"))
+        schema = mapping_in(json.loads(read_bytes(path).decode("utf-8-sig"))).get("schema")
     except (ValueError, RecursionError) as error:
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
-    schema = content.get("schema") if isinstance(content, dict) else None
-    if isinstance(schema, str) and schema.startswith(_REGISTRATION_SCHEMA):
+    if str(schema).startswith(_REGISTRATION_SCHEMA):
         return "registration"
     found = f"with schema {schema!r}" if schema else "without a schema"
     message = f"is JSON {found}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"

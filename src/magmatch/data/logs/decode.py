@@ -25,26 +25,6 @@ string location
 string serial_number"""
 
 
-class JsonObject(SimpleNamespace):
-    """An object of a message written as JSON, with attributes for keys."""
-
-
-class MalformedError(ValueError):
-    """These bytes are no message of the expected type."""
-
-
-@cache
-def _definitions(encoding: str) -> "Typestore":
-    """Message definitions of ROS 1 or, for CDR, ROS 2."""
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
-    if encoding == "ros1":
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
-        store.register(get_types_from_msg(_OLD_BATTERY_FIELDS, _OLD_BATTERY))
-    return store
-
-
 def decode(channel: Channel, payload: bytes) -> Any:
     """Decode a message of a channel; MalformedError says what is wrong with it."""
     if channel.encoding == "json":
@@ -69,6 +49,26 @@ def decode(channel: Channel, payload: bytes) -> Any:
     raise MalformedError(msg)
 
 
+class JsonObject(SimpleNamespace):
+    """An object of a message written as JSON, with attributes for keys."""
+
+
+class MalformedError(ValueError):
+    """These bytes are no message of the expected type."""
+
+
 def no_json(error: Exception) -> MalformedError:
     """Say what is wrong with a message written as JSON."""
     return MalformedError(printable(f"is not the JSON of such a message ({type(error).__name__}: {error})"))
+
+
+@cache
+def _definitions(encoding: str) -> "Typestore":
+    """Message definitions of ROS 1 or, for CDR, ROS 2."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    if encoding == "ros1":
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
+        store.register(get_types_from_msg(_OLD_BATTERY_FIELDS, _OLD_BATTERY))
+    return store

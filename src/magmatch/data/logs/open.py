@@ -11,7 +11,7 @@ import yaml
 
 from magmatch.data.logs.log import Count, Log, Message
 from magmatch.data.tables.text import is_folder, read_bytes
-from magmatch.data.tables.yaml_text import load_yaml
+from magmatch.data.tables.yaml_text import load_yaml, mapping_in
 from magmatch.errors import DataFormatError, MissingExtraError
 
 NEEDED = ("rosbags", "mcap", "lz4", "zstandard")
@@ -100,10 +100,9 @@ def _metadata(folder: Path) -> dict[str, Any]:
         return {}
     advice = f"{REINDEX}, or delete it to read the bag without it"
     try:
-        content = load_yaml(read_bytes(path).decode("utf-8"))
+        about = mapping_in(load_yaml(read_bytes(path).decode("utf-8"))).get("rosbag2_bagfile_information")
     except (yaml.YAMLError, ValueError) as error:
         raise DataFormatError(path, f"is not YAML ({' '.join(str(error).split())[:120]}); {advice}") from None
-    about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     if not isinstance(about, dict):
         raise DataFormatError(path, f"expected rosbag2_bagfile_information in it; {advice}")
     return about

@@ -11,6 +11,7 @@ import numpy as np
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Decoder, Entries, Fault, Frames
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
+from magmatch.data.tables.times import SECOND
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices
 
@@ -18,9 +19,9 @@ logger = logging.getLogger(__name__)
 
 MAX_NUMBER = 1e12  # no position or field in any unit comes near it; its square is still a number
 # Messages of several publishers reach the recorder a little out of order; a larger step back is a clock set anew.
-MAX_STEP_BACK_NS = 1_000_000_000
+MAX_STEP_BACK_NS = SECOND
 # Header stamps and log times differ by the transport, some ms; more is two clocks.
-ODD_DELAY_NS = 1_000_000_000
+ODD_DELAY_NS = SECOND
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,13 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from magmatch.data.tables.pipes import at_rest
+from magmatch.data.tables.pipes import PIECE, at_rest
 from magmatch.errors import DataFormatError
 
 # Faults of the name that was given; others are faults of the machine.
 BAD_NAME = {errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EINVAL}
 BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 MAGIC = b"\x1f\x8b"  # of gzip
-PIECE = 4 << 20
 
 
 class GzipContent:

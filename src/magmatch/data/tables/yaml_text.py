@@ -23,6 +23,11 @@ def load_yaml(text: str) -> Any:
     return content
 
 
+def mapping_in(content: Any) -> dict[Any, Any]:
+    """What a document of YAML or JSON holds by name: nothing where it is a list, a word or a number."""
+    return content if isinstance(content, dict) else {}
+
+
 def _weight(value: Any, known: dict[int, float]) -> float:
     """Values in a document, those that stand at several places counted at each; infinite where one holds itself."""
     if not isinstance(value, dict | list | set | tuple):

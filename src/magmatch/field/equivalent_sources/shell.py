@@ -22,67 +22,6 @@ from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX, der
 from magmatch.field.values import FieldValues
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
-
-@compiled
-def _rows(x: float, y: float, z: float, order: int, out: np.ndarray) -> None:
-    """Field and distinct derivatives of a unit charge at offset (x, y, z) from it."""
-    q = 1.0 / (x * x + y * y + z * z)
-    a = q * np.sqrt(q)
-    out[0], out[1], out[2] = a * x, a * y, a * z
-    if order == 0:
-        return
-    b = -3.0 * a * q
-    out[3], out[4], out[5] = a + b * x * x, b * x * y, b * x * z
-    out[6], out[7], out[8] = a + b * y * y, b * y * z, a + b * z * z
-    if order == 1:
-        return
-    c = -5.0 * b * q
-    out[9] = x * (3 * b + c * x * x)
-    out[10], out[11] = y * (b + c * x * x), z * (b + c * x * x)
-    out[12], out[13], out[14] = x * (b + c * y * y), c * x * y * z, x * (b + c * z * z)
-    out[15] = y * (3 * b + c * y * y)
-    out[16], out[17] = z * (b + c * y * y), y * (b + c * z * z)
-    out[18] = z * (3 * b + c * z * z)
-
-
-@compiled
-def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) -> None:
-    row = np.zeros(out.shape[0])
-    for i in range(len(points)):
-        for j in range(len(sources)):
-            _rows(
-                points[i, 0] - sources[j, 0], points[i, 1] - sources[j, 1], points[i, 2] - sources[j, 2], order, row
-            )  # fmt: skip
-            for k in range(len(row)):
-                out[k, i, j] = row[k]
-
-
-@compiled
-def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: int, out: np.ndarray) -> None:
-    row = np.zeros(out.shape[1])
-    for i in range(len(points)):
-        for j in range(len(sources)):
-            _rows(
-                points[i, 0] - sources[j, 0], points[i, 1] - sources[j, 1], points[i, 2] - sources[j, 2], order, row
-            )  # fmt: skip
-            for k in range(len(row)):
-                out[i, k] += charges[j] * row[k]
-
-
-def charge_design(points: Points, sources: Points, order: int) -> np.ndarray:
-    """Field and distinct derivatives at points per unit charge."""
-    out = np.empty((len(derivative_table(order)), len(points), len(sources)))
-    _fill(points, sources, order, out)
-    return out
-
-
-def charge_field(points: Points, sources: Points, charges: Scalars, order: int) -> Matrix:
-    """Field and distinct derivatives at points of given charges (T m^2): (n, 3, 9 or 19), T, T/m, T/m^2."""
-    out = np.zeros((len(points), len(derivative_table(order))))
-    _sum(points, sources, charges, order, out)
-    return out
-
-
 log = logging.getLogger(__name__)
 
 # Points of the region over which the basis is scaled to unit variance.
@@ -90,7 +29,7 @@ _N_SCALED = 500
 # Where the basis can be asked, in distances of the layer: nearer to it single charges would show.
 _REACH_RATIO = 0.75
 # Most nodes of the lattice that the surface is found on.
-_MOST_NODES = 2e6
+MOST_NODES = 2e6
 # How often nodes are moved onto the surface: the nearest point changes on the way.
 _N_MOVES = 2
 # Least distance of charges, in spacings.
@@ -170,9 +109,75 @@ def lay_shell(region: Points, distance: float, spacing: float, max_sources: int)
     return SourceShell(sources, tree, h / ratio, h, np.full(len(sources), variance**-0.5))
 
 
+def charge_design(points: Points, sources: Points, order: int) -> np.ndarray:
+    """Field and distinct derivatives at points per unit charge."""
+    out = np.empty((len(derivative_table(order)), len(points), len(sources)))
+    _fill(points, sources, order, out)
+    return out
+
+
+@compiled
+def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) -> None:
+    row = np.zeros(out.shape[0])
+    for i in range(len(points)):
+        for j in range(len(sources)):
+            _rows(
+                points[i, 0] - sources[j, 0], points[i, 1] - sources[j, 1], points[i, 2] - sources[j, 2], order, row
+            )  # fmt: skip
+            for k in range(len(row)):
+                out[k, i, j] = row[k]
+
+
+@compiled
+def _rows(x: float, y: float, z: float, order: int, out: np.ndarray) -> None:
+    """Field and distinct derivatives of a unit charge at offset (x, y, z) from it."""
+    q = 1.0 / (x * x + y * y + z * z)
+    a = q * np.sqrt(q)
+    out[0], out[1], out[2] = a * x, a * y, a * z
+    if order == 0:
+        return
+    b = -3.0 * a * q
+    out[3], out[4], out[5] = a + b * x * x, b * x * y, b * x * z
+    out[6], out[7], out[8] = a + b * y * y, b * y * z, a + b * z * z
+    if order == 1:
+        return
+    c = -5.0 * b * q
+    out[9] = x * (3 * b + c * x * x)
+    out[10], out[11] = y * (b + c * x * x), z * (b + c * x * x)
+    out[12], out[13], out[14] = x * (b + c * y * y), c * x * y * z, x * (b + c * z * z)
+    out[15] = y * (3 * b + c * y * y)
+    out[16], out[17] = z * (b + c * y * y), y * (b + c * z * z)
+    out[18] = z * (3 * b + c * z * z)
+
+
+def _row_index(order: int) -> np.ndarray:
+    """Which distinct derivative each row of `N_ROWS` is."""
+    index = [np.arange(3), 3 + GRADIENT_INDEX.ravel(), 9 + SECOND_INDEX.ravel()]
+    return np.concatenate(index[: order + 1])
+
+
+def charge_field(points: Points, sources: Points, charges: Scalars, order: int) -> Matrix:
+    """Field and distinct derivatives at points of given charges (T m^2): (n, 3, 9 or 19), T, T/m, T/m^2."""
+    out = np.zeros((len(points), len(derivative_table(order))))
+    _sum(points, sources, charges, order, out)
+    return out
+
+
+@compiled
+def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: int, out: np.ndarray) -> None:
+    row = np.zeros(out.shape[1])
+    for i in range(len(points)):
+        for j in range(len(sources)):
+            _rows(
+                points[i, 0] - sources[j, 0], points[i, 1] - sources[j, 1], points[i, 2] - sources[j, 2], order, row
+            )  # fmt: skip
+            for k in range(len(row)):
+                out[i, k] += charges[j] * row[k]
+
+
 def _affordable(h: float, extent: np.ndarray, ratio: float) -> float:
     """The spacing asked for, or the least wider one at which the lattice of the surface is small enough."""
-    while np.prod(2 * extent / h + 6 / ratio) > _MOST_NODES:
+    while np.prod(2 * extent / h + 6 / ratio) > MOST_NODES:
         h *= 1.1
     return h
 
@@ -217,9 +222,3 @@ def _first_of(pairs: np.ndarray, n: int) -> np.ndarray:
         if stays[pairs[k, 0]]:
             stays[pairs[k, 1]] = False
     return stays
-
-
-def _row_index(order: int) -> np.ndarray:
-    """Which distinct derivative each row of `N_ROWS` is."""
-    index = [np.arange(3), 3 + GRADIENT_INDEX.ravel(), 9 + SECOND_INDEX.ravel()]
-    return np.concatenate(index[: order + 1])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.folds import Folds, divide
+from magmatch.field.folds import COVERAGE, IN_SDS, Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.marginal_likelihood import choose_samples
 from magmatch.field.linear_model import FieldPosterior, LinearModel, Prior
@@ -21,7 +21,6 @@ _N_USED = 2000
 _N_COMPARED = 400
 # Factors tried on the posterior's standard deviation.
 _INFLATIONS = np.geomspace(1.0, 8.0, 19)
-_COVERAGE, _IN_SDS = 0.95, 1.96
 # Standard errors by which neighbours' residuals must be alike to count as misfit.
 _LEAST_T = 2.0
 
@@ -94,7 +93,7 @@ def _sharpest(size: Scalars, variance: Scalars) -> tuple[float, float]:
     best = (np.inf, 1.0, 1.0)
     for inflation in _INFLATIONS:
         width = np.sqrt(1.0 + inflation**2 * variance)
-        growth = max(float(np.quantile(size / width, _COVERAGE)) / _IN_SDS, 1.0)
+        growth = max(float(np.quantile(size / width, COVERAGE)) / IN_SDS, 1.0)
         best = min(best, (float(np.log(growth) + np.log(width).mean()), growth, float(inflation)))
     return best[1], best[2]
 

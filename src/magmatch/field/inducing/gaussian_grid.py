@@ -30,6 +30,10 @@ log = logging.getLogger(__name__)
 
 # Grid coordinates beyond this would not be whole numbers in float64 any more.
 _LARGEST_INDEX = 2.0**50
+# Largest temporary array, in numbers: 64 MiB.
+_CHUNK_NUMBERS = 2**23
+# Boxes that hold more numbers than this per node in use cost more than summing over the nodes one by one.
+_MOST_BOX_PER_NODE = 30
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,12 +128,6 @@ def _dilated(cells: np.ndarray, first: int, last: int) -> np.ndarray:
 def _ball(radius: float) -> float:
     """About how many grid nodes lie in a ball of some spacings."""
     return 4 / 3 * float(np.pi) * max(radius - 1, 0) ** 3
-
-
-# Largest temporary array, in numbers: 64 MiB.
-_CHUNK_NUMBERS = 2**23
-# Boxes that hold more numbers than this per node in use cost more than summing over the nodes one by one.
-_MOST_BOX_PER_NODE = 30
 
 
 @dataclass(frozen=True, eq=False, slots=True)

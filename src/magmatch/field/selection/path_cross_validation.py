@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.folds import folds_of, path_stretches
+from magmatch.field.folds import COVERAGE, IN_SDS, folds_of, path_stretches
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import EvidenceSearch
 from magmatch.threads import side_by_side
@@ -20,7 +20,6 @@ from magmatch.typing import Mask, Vectors
 # mean of the roots of their errors is taken, so that the few that nothing could predict do not dominate.
 SHARE, POWER = 0.5, 0.5
 INFLATIONS = np.geomspace(1.3, 8.0, 13)
-COVERAGE, IN_SDS = 0.95, 1.96
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -35,6 +35,15 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # The top of the evidence is off by a few hundredths of the noise with so many.
 N_PROBES = 4
+# Correlations below this end the sum: what follows is scatter of the estimate.
+SMALLEST_CORRELATION = 0.1
+# Longest autocorrelation time, samples: what is correlated over longer stretches lives in few directions, and
+# the rest of what those samples say stands.
+LONGEST_AUTOCORRELATION = 16.0
+# `SplineModel.information_ratio` beyond which rounding in single precision would be seen in the evidence.
+HIGHEST_INFORMATION_RATIO = 1e6
+# Spacing, reach, lengthscale and divergence_weight: signal and noise only scale the prior.
+Shape = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +77,6 @@ def noise_slopes(
     evidence = -0.5 * (n_independent * slope + trace - m), -0.5 * (n_independent * bend + trace - trace_of_square)
     # The noise's logarithm is half of t; a level is the root of its square.
     return NoiseSlopes((2 * evidence[0], 4 * evidence[1]), (slope, 2 * bend))
-
-
-# Correlations below this end the sum: what follows is scatter of the estimate.
-SMALLEST_CORRELATION = 0.1
-# Longest autocorrelation time, samples: what is correlated over longer stretches lives in few directions, and
-# the rest of what those samples say stands.
-LONGEST_AUTOCORRELATION = 16.0
-# `SplineModel.information_ratio` beyond which rounding in single precision would be seen in the evidence.
-HIGHEST_INFORMATION_RATIO = 1e6
-
-
-# Spacing, reach, lengthscale and divergence_weight: signal and noise only scale the prior.
-Shape = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

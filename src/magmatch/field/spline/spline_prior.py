@@ -22,11 +22,37 @@ HIGHEST_TERM = 3
 # The prior all but ends where no sensor was: that is where the sources stand, and where the field may change fast.
 # Factor per cell beyond the first ring; with 1 the rim of a room is a quarter less accurate.
 OUTSIDE_DECAY = 0.01
+# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset. A
+# zero-mean field of that size would otherwise dictate lengthscale and signal.
+CONSTANT_SD = 1e-4
+# Finer spacings than this share of the lengthscale change nothing but rounding errors.
+HIGHEST_RELATIVE_LENGTHSCALE = 12.0
 
 
-def cell_weights(distance: np.ndarray) -> np.ndarray:
-    """Weight of each cell's energy."""
-    return np.asarray(OUTSIDE_DECAY ** np.maximum(distance - 1.0, 0.0))
+def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
+    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
+    relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
+    return prior_element(relative, h.divergence_weight), lone_cell_covariance(relative, h.divergence_weight, h.reach)
+
+
+@lru_cache(maxsize=64)
+def prior_element(relative_lengthscale: float, divergence_weight: float) -> np.ndarray:
+    """Prior precision of one cell, up to its scale."""
+    half = relative_lengthscale**2 / 2
+    E = sum(half**k / factorial(k) * smoothness_matrix(k) for k in range(HIGHEST_TERM + 1))
+    return np.asarray(E + divergence_weight * half**2 / 2 * divergence_matrix())
+
+
+@cache
+def smoothness_matrix(k: int) -> np.ndarray:
+    """J_k, the integral of the squared k-th derivatives of psi over the unit cell: (64, 64)."""
+    integrals, J = _axis_integrals(), np.zeros((SPLINES_PER_CELL, SPLINES_PER_CELL))
+    for i in range(k + 1):
+        for j in range(k - i + 1):
+            n = k - i - j
+            count = factorial(k) // (factorial(i) * factorial(j) * factorial(n))
+            J += count * _tensor(integrals[i, i], integrals[j, j], integrals[n, n])
+    return J
 
 
 @cache
@@ -48,18 +74,6 @@ def _tensor(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 @cache
-def smoothness_matrix(k: int) -> np.ndarray:
-    """J_k, the integral of the squared k-th derivatives of psi over the unit cell: (64, 64)."""
-    integrals, J = _axis_integrals(), np.zeros((SPLINES_PER_CELL, SPLINES_PER_CELL))
-    for i in range(k + 1):
-        for j in range(k - i + 1):
-            n = k - i - j
-            count = factorial(k) // (factorial(i) * factorial(j) * factorial(n))
-            J += count * _tensor(integrals[i, i], integrals[j, j], integrals[n, n])
-    return J
-
-
-@cache
 def divergence_matrix() -> np.ndarray:
     """L, the integral of the squared Laplacian of psi over the unit cell: (64, 64)."""
     integrals, L = _axis_integrals(), np.zeros((SPLINES_PER_CELL, SPLINES_PER_CELL))
@@ -68,14 +82,6 @@ def divergence_matrix() -> np.ndarray:
         for q in twice:
             L += _tensor(*(integrals[p[axis], q[axis]] for axis in range(3)))
     return L
-
-
-@lru_cache(maxsize=64)
-def prior_element(relative_lengthscale: float, divergence_weight: float) -> np.ndarray:
-    """Prior precision of one cell, up to its scale."""
-    half = relative_lengthscale**2 / 2
-    E = sum(half**k / factorial(k) * smoothness_matrix(k) for k in range(HIGHEST_TERM + 1))
-    return np.asarray(E + divergence_weight * half**2 / 2 * divergence_matrix())
 
 
 @lru_cache(maxsize=64)
@@ -102,6 +108,11 @@ def lone_cell_covariance(relative_lengthscale: float, divergence_weight: float, 
     return _average_over_cell(block)
 
 
+def cell_weights(distance: np.ndarray) -> np.ndarray:
+    """Weight of each cell's energy."""
+    return np.asarray(OUTSIDE_DECAY ** np.maximum(distance - 1.0, 0.0))
+
+
 def _average_over_cell(block: np.ndarray) -> np.ndarray:
     """Covariance of field and gradient from that of a cell's weights, averaged over the cell, made isotropic."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -121,19 +132,6 @@ def _average_over_cell(block: np.ndarray) -> np.ndarray:
     out[same, same] = mean[same, same].mean()
     out[mixed, mixed] = mean[mixed, mixed].mean()
     return out
-
-
-# Prior standard deviation of the constant field, T: broad against the Earth's (25 to 65 uT) and a sensor's offset. A
-# zero-mean field of that size would otherwise dictate lengthscale and signal.
-CONSTANT_SD = 1e-4
-# Finer spacings than this share of the lengthscale change nothing but rounding errors.
-HIGHEST_RELATIVE_LENGTHSCALE = 12.0
-
-
-def prior_terms(h: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
-    """Element matrix of the prior and what it says about a lone sample's cell (both up to scale)."""
-    relative = min(h.lengthscale / h.spacing, HIGHEST_RELATIVE_LENGTHSCALE)
-    return prior_element(relative, h.divergence_weight), lone_cell_covariance(relative, h.divergence_weight, h.reach)
 
 
 def relative_prior_precision(h: Hyperparameters) -> float:

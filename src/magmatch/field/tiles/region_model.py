@@ -28,6 +28,9 @@ from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Tiles that stand for all when the cost of a fit is estimated.
 N_WEIGHED_TILES = 9
+# What one factor may cost: floating-point operations (about a second), and cells of the region and of the box around
+# it that are worth looking at to count them.
+MOST_OPERATIONS, MOST_CELLS, MOST_BOX_CELLS = 3e10, 30_000, 4e6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -123,11 +126,6 @@ def _fit_here(tasks: TileTasks, factored: TileCache, number: int) -> Scalars:
     posterior = tasks.task(number).infer()
     factored.offer(number, posterior)
     return posterior.weights
-
-
-# What one factor may cost: floating-point operations (about a second), and cells of the region and of the box around
-# it that are worth looking at to count them.
-MOST_OPERATIONS, MOST_CELLS, MOST_BOX_CELLS = 3e10, 30_000, 4e6
 
 
 class WholeModel(SplineModel):

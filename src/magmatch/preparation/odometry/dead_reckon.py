@@ -25,6 +25,19 @@ LONGEST_STEP = 1.2
 # Weinberg (2002), Analog Devices AN-602: a step is K (a_max - a_min)^(1/4) long; K in m^(3/4) s^(1/2), chosen on
 # routes 1 to 3 of IPIN's training logs of 2023.
 WEINBERG_FACTOR = 0.469
+# Rest, at which the gyroscope's bias is learned: turning and acceleration within these (deg/s, m/s^2) of their slow
+# parts. A phone held still in a hand trembles by 2 to 4 deg/s, so that VQF's 2 deg/s never hold (chosen on routes 1
+# to 3 of IPIN's training logs of 2023, as is the next).
+REST_TURNING_DEG, REST_ACCELERATION = 6.0, 1.0
+# How well one such rest tells the bias, deg/s: the hand itself turns; VQF's 0.03 are for a table.
+REST_BIAS_SD_DEG = 0.1
+# Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.
+RATE = 100.0
+# Relative standard deviations: of Weinberg's factor between people (8 %, AN-602), and of one step beside it.
+FACTOR_SD, STEP_SD = 0.08, 0.1
+WHAT_FOR = "dead reckoning"
+# Bounds of what is taken for one walk: s, readings a second, and the longest gap that is not worth a word (s).
+SPAN, SLOWEST, GAP = (2.0, 86_400.0), 15.0, 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,58 +64,6 @@ class Steps:
         np.add.at(change, self.last, -speeds)
         speed: Scalars = np.maximum(np.cumsum(change)[:n], 0)
         return speed
-
-
-def find_steps(vertical: Scalars, rate: float, scale: float = 1.0) -> Steps:
-    """Steps in the vertical acceleration (m/s^2, gravity taken off or not), ``rate`` times a second.
-
-    Length ``scale K (a_max - a_min)^(1/4)`` of the low-passed acceleration within the step (Weinberg 2002).
-    """
-    filter_ = butter(2, STEP_FREQUENCY, fs=rate, output="sos")
-    smooth = sosfiltfilt(filter_, vertical - np.median(vertical)) if len(vertical) > 20 else np.zeros(len(vertical))
-    apart = max(1, round(STEP_INTERVAL * rate))
-    peaks, _ = find_peaks(smooth, distance=apart, prominence=STEP_PROMINENCE)
-    first, last = peaks[:-1], peaks[1:]
-    is_step = last - first <= LONGEST_STEP * rate
-    first, last = first[is_step], last[is_step]
-    swings = np.array([np.ptp(smooth[i:j]) for i, j in zip(first, last, strict=True)])
-    return Steps(first, last, scale * WEINBERG_FACTOR * swings**0.25)
-
-
-# Rest, at which the gyroscope's bias is learned: turning and acceleration within these (deg/s, m/s^2) of their slow
-# parts. A phone held still in a hand trembles by 2 to 4 deg/s, so that VQF's 2 deg/s never hold (chosen on routes 1
-# to 3 of IPIN's training logs of 2023, as is the next).
-REST_TURNING_DEG, REST_ACCELERATION = 6.0, 1.0
-# How well one such rest tells the bias, deg/s: the hand itself turns; VQF's 0.03 are for a table.
-REST_BIAS_SD_DEG = 0.1
-
-
-def attitude(rate: Vectors, acceleration: Vectors, readings_per_second: float) -> Rotation:
-    """Smoothed orientations of the phone at even times, to a frame whose z is up.
-
-    From the gyroscope (rad/s) and the accelerometer (m/s^2, gravity included), phone's axes: VQF without its
-    magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of the gyroscope is
-    estimated at rest only: while walking it would absorb the swing of the arm, which made paths of the IPIN logs two
-    to four times worse.
-    """
-    vqf = import_extra("vqf", "dead reckoning", "odometry")
-    settings = {
-        "motionBiasEstEnabled": False, "restThGyr": REST_TURNING_DEG, "restThAcc": REST_ACCELERATION,
-        "biasSigmaRest": REST_BIAS_SD_DEG,
-    }  # fmt: skip
-    found = vqf.offlineVQF(
-        np.ascontiguousarray(rate), np.ascontiguousarray(acceleration), None, 1 / readings_per_second, settings
-    )
-    return Rotation.from_quat(found["quat6D"], scalar_first=True)
-
-
-# Poses a second. Gyroscopes of phones read 50 to 400 times; a hand turns a degree in 10 ms.
-RATE = 100.0
-# Relative standard deviations: of Weinberg's factor between people (8 %, AN-602), and of one step beside it.
-FACTOR_SD, STEP_SD = 0.08, 0.1
-WHAT_FOR = "dead reckoning"
-# Bounds of what is taken for one walk: s, readings a second, and the longest gap that is not worth a word (s).
-SPAN, SLOWEST, GAP = (2.0, 86_400.0), 15.0, 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -179,30 +140,6 @@ def usable(phone: PhoneLog) -> tuple[Stream, Stream]:
     return streams
 
 
-def _carried_on(trajectory: Trajectory, stop: float, velocity: Scalars, turning: Scalars) -> Trajectory:
-    """A pose more, at the last reading: moved and turned (m/s; rad/s, phone's axes) as at the last pose."""
-    seconds = stop - trajectory.times[-1]
-    last = trajectory.positions[-1] + [*(velocity * seconds), 0.0]
-    turned = trajectory.orientations[-1] * Rotation.from_rotvec(turning * seconds)
-    return Trajectory(
-        np.append(trajectory.times, stop),
-        np.vstack([trajectory.positions, last]),
-        Rotation.concatenate([trajectory.orientations, turned]),
-    )
-
-
-def heading(orientations: Rotation) -> Vectors:
-    """Horizontal direction in which a phone points, unit vectors: (n, 2).
-
-    That of its upper end, or of its back if it is mostly held upright, as for a picture.
-    """
-    top, back = orientations.apply([0.0, 1.0, 0.0])[:, :2], orientations.apply([0.0, 0.0, -1.0])[:, :2]
-    is_upright = np.linalg.norm(back, axis=1).mean() > 2 * np.linalg.norm(top, axis=1).mean()
-    level = back if is_upright else top
-    size = np.linalg.norm(level, axis=1, keepdims=True)
-    return np.asarray(level / np.maximum(size, 1e-9))
-
-
 def _even_times(phone: PhoneLog, streams: tuple[Stream, ...]) -> tuple[Scalars, float]:
     """Times at even steps that all sensors cover, none of them in a long gap, and where the sensors end."""
     start, stop = max(s.times[0] for s in streams), min(s.times[-1] for s in streams)
@@ -227,3 +164,62 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...]) -> tuple[Scalars, 
 def _pieces(times: Scalars) -> Indices:
     """Numbers of the pieces between long gaps, counted from 0: (n,)."""
     return np.concatenate([[0], np.cumsum(np.diff(times) > LONGEST_STEP)])
+
+
+def attitude(rate: Vectors, acceleration: Vectors, readings_per_second: float) -> Rotation:
+    """Smoothed orientations of the phone at even times, to a frame whose z is up.
+
+    From the gyroscope (rad/s) and the accelerometer (m/s^2, gravity included), phone's axes: VQF without its
+    magnetometer, forward and back (Laidig and Seel 2023, 10.1016/j.inffus.2022.10.014). The bias of the gyroscope is
+    estimated at rest only: while walking it would absorb the swing of the arm, which made paths of the IPIN logs two
+    to four times worse.
+    """
+    vqf = import_extra("vqf", "dead reckoning", "odometry")
+    settings = {
+        "motionBiasEstEnabled": False, "restThGyr": REST_TURNING_DEG, "restThAcc": REST_ACCELERATION,
+        "biasSigmaRest": REST_BIAS_SD_DEG,
+    }  # fmt: skip
+    found = vqf.offlineVQF(
+        np.ascontiguousarray(rate), np.ascontiguousarray(acceleration), None, 1 / readings_per_second, settings
+    )
+    return Rotation.from_quat(found["quat6D"], scalar_first=True)
+
+
+def find_steps(vertical: Scalars, rate: float, scale: float = 1.0) -> Steps:
+    """Steps in the vertical acceleration (m/s^2, gravity taken off or not), ``rate`` times a second.
+
+    Length ``scale K (a_max - a_min)^(1/4)`` of the low-passed acceleration within the step (Weinberg 2002).
+    """
+    filter_ = butter(2, STEP_FREQUENCY, fs=rate, output="sos")
+    smooth = sosfiltfilt(filter_, vertical - np.median(vertical)) if len(vertical) > 20 else np.zeros(len(vertical))
+    apart = max(1, round(STEP_INTERVAL * rate))
+    peaks, _ = find_peaks(smooth, distance=apart, prominence=STEP_PROMINENCE)
+    first, last = peaks[:-1], peaks[1:]
+    is_step = last - first <= LONGEST_STEP * rate
+    first, last = first[is_step], last[is_step]
+    swings = np.array([np.ptp(smooth[i:j]) for i, j in zip(first, last, strict=True)])
+    return Steps(first, last, scale * WEINBERG_FACTOR * swings**0.25)
+
+
+def heading(orientations: Rotation) -> Vectors:
+    """Horizontal direction in which a phone points, unit vectors: (n, 2).
+
+    That of its upper end, or of its back if it is mostly held upright, as for a picture.
+    """
+    top, back = orientations.apply([0.0, 1.0, 0.0])[:, :2], orientations.apply([0.0, 0.0, -1.0])[:, :2]
+    is_upright = np.linalg.norm(back, axis=1).mean() > 2 * np.linalg.norm(top, axis=1).mean()
+    level = back if is_upright else top
+    size = np.linalg.norm(level, axis=1, keepdims=True)
+    return np.asarray(level / np.maximum(size, 1e-9))
+
+
+def _carried_on(trajectory: Trajectory, stop: float, velocity: Scalars, turning: Scalars) -> Trajectory:
+    """A pose more, at the last reading: moved and turned (m/s; rad/s, phone's axes) as at the last pose."""
+    seconds = stop - trajectory.times[-1]
+    last = trajectory.positions[-1] + [*(velocity * seconds), 0.0]
+    turned = trajectory.orientations[-1] * Rotation.from_rotvec(turning * seconds)
+    return Trajectory(
+        np.append(trajectory.times, stop),
+        np.vstack([trajectory.positions, last]),
+        Rotation.concatenate([trajectory.orientations, turned]),
+    )

@@ -23,11 +23,61 @@ from magmatch.typing import Covariance6, Indices, Matrix, Scalars
 MOST_CANDIDATES = 12
 
 
-class Weighted(NamedTuple):
-    """A candidate and its probability."""
+def probable_closures(
+    path: Path,
+    candidates: list[list[Candidate]],
+    graph: PoseGraph,
+    paths: Sequence[Path],
+    least: float = LEAST_KEPT,
+) -> list[Closure]:
+    """Closures of a log's windows, in their order, with nodes of any log: those more probable than ``least``.
 
-    candidate: Candidate
-    probability: float
+    By default, whatever the graph would keep: it weights closures by their probability, and may reject them.
+    """
+    config = graph.config
+    candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
+    poses = [[product(graph.pose(c.node), c.T_node_window) for c in found] for found in candidates]
+    steps = [_log_transition(path.first_node + k, candidates, poses, k, graph) for k in range(len(poses) - 1)]
+    component = graph.component()
+    revisits = [
+        _revisit(window, [c.node for c in found if component[c.node] == component[window.node]], graph)
+        for window, found in zip(path.windows, candidates, strict=True)
+    ]
+    shares = smooth([[c.match for c in found] for found in candidates], steps, revisits, config.keeps_on)
+    closures = []
+    for window, found, at, p in zip(path.windows, candidates, poses, shares, strict=True):
+        same = same_answer(at, p, window)
+        probability = float(p[same].sum())
+        if probability > least:
+            odds = float(np.log(probability / max(1 - probability, 1e-12)))
+            for passed in by_pass([found[k] for k in same], p[same], graph):
+                closures.append(closure_beside(passed, window.node, paths, odds, graph))
+    return closures
+
+
+def _log_transition(
+    node: int, candidates: list[list[Candidate]], poses: list[list[RigidTransform]], k: int, graph: PoseGraph
+) -> Matrix:
+    """Log density of the next window's candidates as odometry predicts them from this one's."""
+    shape = len(poses[k]), len(poses[k + 1])
+    if not all(shape):
+        return np.zeros(shape)
+    step, Q = graph.odometry(node)
+    i, j = np.indices(shape).reshape(2, -1)
+    (T, C, at), (T_next, C_next, at_next) = (
+        (RigidTransform.concatenate(at), np.stack([c.match.covariance for c in found]),
+         np.array([c.node for c in found]))
+        for at, found in zip(poses[k : k + 2], candidates[k : k + 2], strict=True)
+    )  # fmt: skip
+    # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
+    steps = 1 + np.minimum(np.abs(at[i] - at_next[j]), APART)
+    S = Q * steps[:, None, None] + C[i] + C_next[j]
+    return log_density((T * step).inv()[i] * T_next[j], S, graph.config.drifts).reshape(shape)
+
+
+def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
+    """Probability that a window lies on path of its component where candidates were found."""
+    return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
 
 
 def same_answer(poses: Sequence[RigidTransform], probabilities: Scalars, window: Window) -> Indices:
@@ -39,6 +89,13 @@ def same_answer(poses: Sequence[RigidTransform], probabilities: Scalars, window:
     order = np.argsort(-probabilities, kind="stable")
     tolerance = window.length, 2 * window.length / window.path_length
     return order[[is_one_pose(poses[k], poses[order[0]], np.zeros(3), tolerance) for k in order]]
+
+
+class Weighted(NamedTuple):
+    """A candidate and its probability."""
+
+    candidate: Candidate
+    probability: float
 
 
 def by_pass(candidates: Sequence[Candidate], probabilities: Scalars, graph: PoseGraph) -> list[list[Weighted]]:
@@ -72,13 +129,6 @@ def closure_beside(
     return Closure(c.node, node, T, covariance + beside + off_level(config), log_odds, common=COMMON)
 
 
-def off_level(config: SlamConfig) -> Covariance6:
-    """Covariance between two nodes of the components that gravity and one floor hold: how well they hold them."""
-    held = np.diag(NODE_COVARIANCE).copy()
-    held[config.drifts] = 0.0
-    return 2 * np.diag(held)
-
-
 def _mean(passed: Sequence[Weighted], graph: PoseGraph) -> tuple[RigidTransform, Covariance6]:
     """Mean of what the field alone says, from the first one's node, and covariance of the mixture."""
     poses = [
@@ -95,58 +145,8 @@ def _mean(passed: Sequence[Weighted], graph: PoseGraph) -> tuple[RigidTransform,
     return T, np.einsum("k,kij->ij", w / w.sum(), C)
 
 
-def probable_closures(
-    path: Path,
-    candidates: list[list[Candidate]],
-    graph: PoseGraph,
-    paths: Sequence[Path],
-    least: float = LEAST_KEPT,
-) -> list[Closure]:
-    """Closures of a log's windows, in their order, with nodes of any log: those more probable than ``least``.
-
-    By default, whatever the graph would keep: it weights closures by their probability, and may reject them.
-    """
-    config = graph.config
-    candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
-    poses = [[product(graph.pose(c.node), c.T_node_window) for c in found] for found in candidates]
-    steps = [_log_transition(path.first_node + k, candidates, poses, k, graph) for k in range(len(poses) - 1)]
-    component = graph.component()
-    revisits = [
-        _revisit(window, [c.node for c in found if component[c.node] == component[window.node]], graph)
-        for window, found in zip(path.windows, candidates, strict=True)
-    ]
-    shares = smooth([[c.match for c in found] for found in candidates], steps, revisits, config.keeps_on)
-    closures = []
-    for window, found, at, p in zip(path.windows, candidates, poses, shares, strict=True):
-        same = same_answer(at, p, window)
-        probability = float(p[same].sum())
-        if probability > least:
-            odds = float(np.log(probability / max(1 - probability, 1e-12)))
-            for passed in by_pass([found[k] for k in same], p[same], graph):
-                closures.append(closure_beside(passed, window.node, paths, odds, graph))
-    return closures
-
-
-def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
-    """Probability that a window lies on path of its component where candidates were found."""
-    return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
-
-
-def _log_transition(
-    node: int, candidates: list[list[Candidate]], poses: list[list[RigidTransform]], k: int, graph: PoseGraph
-) -> Matrix:
-    """Log density of the next window's candidates as odometry predicts them from this one's."""
-    shape = len(poses[k]), len(poses[k + 1])
-    if not all(shape):
-        return np.zeros(shape)
-    step, Q = graph.odometry(node)
-    i, j = np.indices(shape).reshape(2, -1)
-    (T, C, at), (T_next, C_next, at_next) = (
-        (RigidTransform.concatenate(at), np.stack([c.match.covariance for c in found]),
-         np.array([c.node for c in found]))
-        for at, found in zip(poses[k : k + 2], candidates[k : k + 2], strict=True)
-    )  # fmt: skip
-    # The stretches they lie on are apart too, by as much odometry as lies between them, or by the graph's.
-    steps = 1 + np.minimum(np.abs(at[i] - at_next[j]), APART)
-    S = Q * steps[:, None, None] + C[i] + C_next[j]
-    return log_density((T * step).inv()[i] * T_next[j], S, graph.config.drifts).reshape(shape)
+def off_level(config: SlamConfig) -> Covariance6:
+    """Covariance between two nodes of the components that gravity and one floor hold: how well they hold them."""
+    held = np.diag(NODE_COVARIANCE).copy()
+    held[config.drifts] = 0.0
+    return 2 * np.diag(held)

@@ -21,11 +21,6 @@ STATED_SPREAD = 1.0
 SAME_FACTOR = 0.05
 
 
-def teaches_drift(graph: PoseGraph) -> bool:
-    """Whether closures are enough: as many as noise is learned from."""
-    return len(graph.closures) >= PRIOR_STRETCHES
-
-
 def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -> SlamConfig:
     """Settings with the most likely standard deviations of position and heading, one factor each for all logs.
 
@@ -52,14 +47,9 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     return _with_factors(stated, np.exp(found))
 
 
-def log_evidence(graph: PoseGraph) -> float:
-    """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
-    H, v, chi2 = normal_equations(graph)
-    factor = graph.factor(H)
-    log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
-    log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
-    explained = float((v * factor.solve(v[None])[0]).sum())
-    return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_lasting)
+def teaches_drift(graph: PoseGraph) -> bool:
+    """Whether closures are enough: as many as noise is learned from."""
+    return len(graph.closures) >= PRIOR_STRETCHES
 
 
 def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
@@ -70,3 +60,13 @@ def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
     return config.model_copy(
         update={"odometry": odometry, "sd_of_logs": {name: scaled(sd) for name, sd in config.sd_of_logs.items()}}
     )
+
+
+def log_evidence(graph: PoseGraph) -> float:
+    """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
+    H, v, chi2 = normal_equations(graph)
+    factor = graph.factor(H)
+    log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
+    log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
+    explained = float((v * factor.solve(v[None])[0]).sum())
+    return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_lasting)

@@ -25,48 +25,6 @@ COVARIANCES = "covariances.csv"
 WriteReport = Callable[[Session, SlamResult, Path], None]
 
 
-def unfinished(folder: str | Path) -> Path:
-    """Folder for intermediate results, next to the final folder, until that is complete."""
-    place = Path(folder).resolve()
-    return place.with_name(f".{place.name[:50]}.unfinished")
-
-
-def require_folder(
-    folder: str | Path,
-    surveys: Sequence[Survey] | None,
-    files: Iterable[str | Path] = (),
-    *,
-    may_be_more: bool = False,
-    to_add: str = "",
-) -> None:
-    """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
-
-    ``files`` are those of the surveys and whatever else is read; ``may_be_more``: some surveys may be new;
-    ``to_add``: what would add them, for the message. Surveys that are not known yet (None) are not compared.
-    """
-    folder = Path(folder)
-    if not folder.exists():
-        return
-    if not folder.is_dir():
-        raise DataFormatError(folder, "is a file, expected the name of a folder to write to")
-    inside = next((f for f in files if Path(f).resolve().is_relative_to(folder.resolve())), None)
-    if inside is not None:
-        raise DataFormatError(folder, f"holds an input ({inside}), which a result could replace; name another folder")
-    if not any(folder.iterdir()):
-        return
-    advice = "name a new folder, or delete this one"
-    if not (folder / RESULT).is_file():
-        raise DataFormatError(folder, f"is not empty, and holds no earlier result ({RESULT}); {advice}")
-    earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
-    if surveys is None:
-        return
-    given = {describe_input(s)["sha256"] for s in surveys}
-    if earlier < given and not may_be_more:
-        raise DataFormatError(folder, f"holds a result of fewer inputs; {to_add}{advice}")
-    if not earlier <= given:
-        raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
-
-
 def write_folder(
     session: Session,
     folder: str | Path,
@@ -112,6 +70,48 @@ def write_folder(
         with suppress(OSError):  # what was found on the way stays, where it was kept
             beside.parent.rmdir()
     return result
+
+
+def require_folder(
+    folder: str | Path,
+    surveys: Sequence[Survey] | None,
+    files: Iterable[str | Path] = (),
+    *,
+    may_be_more: bool = False,
+    to_add: str = "",
+) -> None:
+    """Refuse a folder that holds anything but an earlier result of the same surveys, or one of their files.
+
+    ``files`` are those of the surveys and whatever else is read; ``may_be_more``: some surveys may be new;
+    ``to_add``: what would add them, for the message. Surveys that are not known yet (None) are not compared.
+    """
+    folder = Path(folder)
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise DataFormatError(folder, "is a file, expected the name of a folder to write to")
+    inside = next((f for f in files if Path(f).resolve().is_relative_to(folder.resolve())), None)
+    if inside is not None:
+        raise DataFormatError(folder, f"holds an input ({inside}), which a result could replace; name another folder")
+    if not any(folder.iterdir()):
+        return
+    advice = "name a new folder, or delete this one"
+    if not (folder / RESULT).is_file():
+        raise DataFormatError(folder, f"is not empty, and holds no earlier result ({RESULT}); {advice}")
+    earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
+    if surveys is None:
+        return
+    given = {describe_input(s)["sha256"] for s in surveys}
+    if earlier < given and not may_be_more:
+        raise DataFormatError(folder, f"holds a result of fewer inputs; {to_add}{advice}")
+    if not earlier <= given:
+        raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
+
+
+def unfinished(folder: str | Path) -> Path:
+    """Folder for intermediate results, next to the final folder, until that is complete."""
+    place = Path(folder).resolve()
+    return place.with_name(f".{place.name[:50]}.unfinished")
 
 
 def _write(

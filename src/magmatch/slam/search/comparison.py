@@ -58,12 +58,10 @@ def compare(
     ``noise``: of walks, as it is known now; ``known``: poses of an earlier search, which need no other; ``nodes``: in
     whose windows it may lie, if not in all.
     """
-    if isinstance(expected, Rough):
-        # What is known well is not searched for.
-        known = [] if known is None and expected.is_narrow(window.length) else known
-        here = expected.T_base_log.apply(window.center)[None]
-        if known is not None and not known and nodes is not None and not submap.are_near(here, nodes)[0]:
-            return []
+    # What is known well is not searched for.
+    known = [] if known is None and expected.is_narrow(window.length) else known
+    if known is not None and not known and nodes is not None and not expected.is_beside(window, submap, nodes):
+        return []
     found = matches(window, submap.with_noise(noise), expected, known, nodes)
     if not found:
         return []

@@ -51,9 +51,57 @@ class Rough:
         turn, shift = self.largest_sds
         return bool(turn < SAME_TURN and shift < SAME_SHIFT * length)
 
+    def is_beside(self, window: Window, base: Submap, nodes: Indices) -> bool:
+        """Whether it may lie in the window of one of some nodes of a submap."""
+        return bool(base.are_near(self.T_base_log.apply(window.center)[None], nodes)[0])
 
-# Without a prediction it is the volume of all that is searched, m^3.
-Expected = Rough | float
+    def prior(self, window: Window, base: Submap) -> PosePrior:
+        """Prior of the pose between model frames."""
+        M = adjoint(window.T_middle_node)
+        C = M @ (self.covariance + NODE_COVARIANCE) @ M.T
+        T = product(base.index.base.T_map_model.inv(), self.T_base_log, window.walk.T_survey_walk)
+        return replace(_prior(window, base, base.volume), T_base_target=T, covariance=C, far2=REACH**2)
+
+    def log_densities(self, window: Window, T_base_log: RigidTransform, _: PosePrior) -> tuple[float, float]:
+        """Log density of the pose where it is densest, and how much less it is at another.
+
+        Of the components that drift: the others hold for each window by itself.
+        """
+        T_log_node = window.T_log_node
+        off = product(T_log_node.inv(), self.T_base_log.inv(), T_base_log, T_log_node)
+        C = self.covariance + NODE_COVARIANCE
+        drifts = window.config.drifts
+        densest = float(log_density(RigidTransform.identity(), C, drifts))
+        return densest, densest - float(log_density(off, C, drifts))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Anywhere:
+    """No prediction: a window may lie anywhere in all that is searched. It answers as `Rough` does."""
+
+    volume: float  # m^3: of all that is searched
+
+    def is_narrow(self, _: float) -> bool:
+        """It has to be searched."""
+        return False
+
+    def is_beside(self, _window: Window, _base: Submap, _nodes: Indices) -> bool:
+        """It may lie beside any node."""
+        return True
+
+    def prior(self, window: Window, base: Submap) -> PosePrior:
+        """Poses that put the window inside the base are alike probable."""
+        prior, index = _prior(window, base, self.volume), base.index
+        return inside_base(prior, index.base, window.walk, index.length, window.config.evidence)
+
+    def log_densities(self, window: Window, _: RigidTransform, prior: PosePrior) -> tuple[float, float]:
+        """Log density, which is the same everywhere."""
+        turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
+        height = prior.height_range if prior.height is not None else 1.0
+        return float(np.log(height / (self.volume * turns)) - prior.log_share_inside), 0.0
+
+
+Expected = Rough | Anywhere
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -84,7 +132,7 @@ def matches(
     from the predicted pose. With some nodes, only from those that lie in their windows.
     """
     index, walk, config = base.index, window.walk, window.config
-    prior = _prior(window, base, expected)
+    prior = expected.prior(window, base)
     T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
     T_model_base, T_walk_log = T_base.inv(), T_walk.inv()
     T_walk_node = product(T_walk_log, window.T_log_node)
@@ -99,7 +147,7 @@ def matches(
         at = np.array([T.apply(T_walk_node.translation) for T in starts])
         is_here = base.are_near(T_base.apply(at), nodes)
         starts = [starts[k] for k in np.flatnonzero(is_here)]
-    null = _unrelated(window, index.noise, is_predicted=isinstance(expected, Rough)) if starts else None
+    null = _unrelated(window, index.noise, is_predicted=prior.T_base_target is not None) if starts else None
     weighed = weigh_walk(
         index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, null
     )
@@ -112,7 +160,7 @@ def matches(
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
         T = product(T_base, e.T_base_target, T_walk_log)
         odds = log_odds(e.log_evidence, e.misfit, "window")
-        densest, less = _prior_at(window, T, prior, expected)
+        densest, less = expected.log_densities(window, T, prior)
         # What the prior costs counts by the same law as the field, so that giving it back adds no more than it took.
         gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
@@ -142,25 +190,6 @@ def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) ->
     return np.asarray(-0.5 * (chi2 + np.linalg.slogdet(2 * np.pi * S)[1]))
 
 
-def _prior_at(
-    window: Window, T_base_log: RigidTransform, prior: PosePrior, expected: Expected
-) -> tuple[float, float]:
-    """Log density of what the graph predicts where it is densest, and how much less it is at a pose.
-
-    Of the components that drift: the others hold for each window by itself.
-    """
-    if not isinstance(expected, Rough):
-        turns = 2 * np.pi if window.config.is_gravity_aligned else 8 * np.pi**2
-        height = prior.height_range if prior.height is not None else 1.0
-        return float(np.log(height / (expected * turns)) - prior.log_share_inside), 0.0
-    T_log_node = window.T_log_node
-    off = product(T_log_node.inv(), expected.T_base_log.inv(), T_base_log, T_log_node)
-    C = expected.covariance + NODE_COVARIANCE
-    drifts = window.config.drifts
-    densest = float(log_density(RigidTransform.identity(), C, drifts))
-    return densest, densest - float(log_density(off, C, drifts))
-
-
 @lru_cache(maxsize=1)
 def _unrelated(window: Window, noise: PathNoise, *, is_predicted: bool) -> UnrelatedWalk:
     """The null model of a window: kept while one submap after the other is compared with it."""
@@ -187,19 +216,13 @@ def residuals(window: Window, base: Submap, T_base_log: RigidTransform) -> Stret
     return Stretch(walk.positions[rows], (walk.field - values.field)[rows], sd[rows], G, walk.field[rows])
 
 
-def _prior(window: Window, base: Submap, expected: Expected) -> PosePrior:
-    """Prior of the pose between model frames."""
-    T_base, T_walk, config = base.index.base.T_map_model, window.walk.T_survey_walk, window.config
+def _prior(window: Window, base: Submap, volume: float) -> PosePrior:
+    """What is known of the pose between model frames without a prediction: gravity, the floor, and a volume (m^3)."""
+    config = window.config
     known = PosePriorConfig(
         is_gravity_aligned=config.is_gravity_aligned,
         gravity_sd=UPRIGHT_SD,
         is_planar=config.is_planar and config.is_gravity_aligned,
         height_sd=LEVEL_SD,
     )
-    prior = pose_prior(known, T_base, T_walk, base.volume if isinstance(expected, Rough) else expected)
-    if not isinstance(expected, Rough):
-        return inside_base(prior, base.index.base, window.walk, base.index.length, config.evidence)
-    M = adjoint(window.T_middle_node)
-    C = M @ (expected.covariance + NODE_COVARIANCE) @ M.T
-    T = product(T_base.inv(), expected.T_base_log, T_walk)
-    return replace(prior, T_base_target=T, covariance=C, far2=REACH**2)
+    return pose_prior(known, base.index.base.T_map_model, window.walk.T_survey_walk, volume)

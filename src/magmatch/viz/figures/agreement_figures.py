@@ -16,15 +16,17 @@ from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.draw import thinned
-from magmatch.viz.figures.slices import Cut, cut_through
+from magmatch.viz.figures.slices import Cut, cut_through, map_in
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-
 # Normalised residual beyond which a sample is marked: of right ones, about 1 in 1000 (chi-square, three degrees).
 LARGEST_ORDINARY = 2.33
 MAX_COMPARED = 3000
+# Top of the colour scale of normalised residuals; anything larger is equally wrong.
+TOP_RESIDUAL = 4.0
+OUTSIDE_STYLE = {"symbol": "x", "color": draw.LINK_COLOR}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,8 +75,7 @@ def compare(
 ) -> Comparison:
     """Put the target's samples into the base map."""
     survey = survey_of(target)
-    noise = (base, target) if isinstance(target, FieldMap) else (base, base)
-    variance = sum(m.hyperparameters.noise_sd**2 for m in noise)
+    variance = sum(m.hyperparameters.noise_sd**2 for m in (base, map_in(target) or base))
     rows = thinned(len(survey), n_compared)
     p_base = transform_points(survey.positions[rows], T_base_target)
     measured = rotate_vectors(corrected(survey.field[rows], result), T_base_target)
@@ -98,11 +99,6 @@ def corrected(field: Vectors, result: RegistrationResult) -> Vectors:
     bias = np.asarray(sensor.get("bias") or np.zeros(3), dtype=np.float64)
     gain = np.asarray(sensor.get("gain") or (sensor.get("scale") or 1.0) * np.eye(3), dtype=np.float64)
     return np.asarray(np.linalg.solve(gain, (field - bias).T).T)
-
-
-# Top of the colour scale of normalised residuals; anything larger is equally wrong.
-TOP_RESIDUAL = 4.0
-OUTSIDE_STYLE = {"symbol": "x", "color": draw.LINK_COLOR}
 
 
 def agreement_figures(base_map: FieldMap, compared: Comparison) -> "list[Figure]":

@@ -26,9 +26,12 @@ from magmatch.viz.figures.slices import cut_through
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-
 # Share of the probability inside an ellipsoid that is drawn.
 LEVEL = 0.95
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+# How far the farthest sample is drawn to go along a free direction, in the target's extent.
+SWEEP = 0.2
+MAX_ARROWS, MAX_SWEPT = 40, 1500
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,12 +93,6 @@ def _ellipsoid(covariance: Matrix) -> Ellipsoid:
     power, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
     scale = float(np.sqrt(chi2.ppf(LEVEL, 3)))
     return Ellipsoid(scale * np.sqrt(np.maximum(power[::-1], 0)), vectors[:, ::-1].T)
-
-
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
-# How far the farthest sample is drawn to go along a free direction, in the target's extent.
-SWEEP = 0.2
-MAX_ARROWS, MAX_SWEPT = 40, 1500
 
 
 def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> "Figure":

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magmatch.data.checks import MAX_EXTENT
+from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.errors import import_extra
 from magmatch.geometry import near_origin
 from magmatch.number_text import told
@@ -35,7 +36,7 @@ SCENE_HEIGHT, SCENE_WIDTH = 0.36, 0.38
 MAX_DRAWN = 5000
 # m: origins taken off coordinates are whole multiples, so that pictures of one place have one.
 STEP = 1e3
-UT_PER_TESLA = 1e6
+UT_PER_TESLA = 1 / TESLA_PER_UNIT["uT"]
 
 
 def require_plotly() -> ModuleType:

@@ -23,9 +23,12 @@ from magmatch.viz.figures.slices import (
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-
 # Points of the box at which the map is evaluated.
 N_ASKED = 6000
+# A box at least this thick, in its longest side, is cut along all three axes.
+THICK = 0.15
+# Samples marked on a cut, those nearest to it.
+MAX_MARKED = 400
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,12 +79,6 @@ def left_out(field_map: FieldMap, read: Survey) -> Mask:
 
 def _rows(survey: Survey) -> np.ndarray:
     return np.ascontiguousarray(np.hstack([survey.positions, survey.field]))
-
-
-# A box at least this thick, in its longest side, is cut along all three axes.
-THICK = 0.15
-# Samples marked on a cut, those nearest to it.
-MAX_MARKED = 400
 
 
 def field_figures(field_map: FieldMap) -> "list[Figure]":

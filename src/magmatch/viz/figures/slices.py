@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
@@ -44,6 +45,11 @@ class Cut:
     def figure(self, title: str, traces: list[Any]) -> "Figure":
         """Put traces into a figure of the plane."""
         return draw.new_plane(title, traces, *(draw.axis_title(axis, self.origin) for axis in self.axes[:2]))
+
+
+def map_in(drawn: Survey | FieldMap | None) -> FieldMap | None:
+    """What is drawn, where it is a map, which can be cut; a survey has samples alone."""
+    return drawn if isinstance(drawn, FieldMap) else None
 
 
 def cut_through(p: Points) -> Cut:

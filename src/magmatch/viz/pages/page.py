@@ -27,6 +27,8 @@ from magmatch.viz.figures.draw import DARK, require_plotly
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
+# Most closures, anchors or parts of a log that are listed one by one.
+MAX_LISTED = 40
 # Height over width of what a scene shows.
 SCENE_SHAPE = 0.78
 

@@ -18,6 +18,7 @@ from magmatch.viz.figures.registration_figures import (
     slice_figures,
     time_figure,
 )
+from magmatch.viz.figures.slices import map_in
 from magmatch.viz.pages.page import (
     Section,
     bullets,
@@ -58,12 +59,13 @@ def write_report(
     if base is not None and target is not None:
         base_survey, target_survey = survey_of(base), survey_of(target)
         sections.append(Section("In space", [figure_row(scene_figures(base_survey, target_survey, result))]))
-        maps = [side for side in (base, target) if isinstance(side, FieldMap)]
-        sections += _field(maps[0], maps[1], result) if len(maps) == 2 else []
-        if published is not None and len(maps) == 2:
-            figures = published_figures(maps[0], maps[1], result.links, published).values()
-            sections.append(Section("What the published method sees", [figure_row([figure]) for figure in figures]))
-        sections += _agreement(base, target, result)
+        base_map, target_map = map_in(base), map_in(target)
+        if base_map is not None and target_map is not None:
+            sections += _field(base_map, target_map, result)
+            if published is not None:
+                figures = published_figures(base_map, target_map, result.links, published).values()
+                sections.append(Section("What the published method sees", [figure_row([one]) for one in figures]))
+        sections += _agreement(base_map, target, result)
         sections += certainty(result, target_survey)
         sections += free_directions(result, base_survey, target_survey)
     else:
@@ -105,13 +107,13 @@ def _field(base: FieldMap, target: FieldMap, result: RegistrationResult) -> list
     return [Section("The field of both maps", blocks)]
 
 
-def _agreement(base: Survey | FieldMap, target: Survey | FieldMap, result: RegistrationResult) -> list[Section]:
+def _agreement(base: FieldMap | None, target: Survey | FieldMap, result: RegistrationResult) -> list[Section]:
     """Whether the base explains the target's samples, under the pose that is shown."""
     T_base_target = shown_pose(result)
     if T_base_target is None:
         return []
     title = "Overlap and residuals"
-    if not isinstance(base, FieldMap):
+    if base is None:
         words = "This needs a map of the base. None could be made: too few samples, or settings of another version."
         return [Section(title, [note(words)])]
     compared = compare(base, target, T_base_target, result)

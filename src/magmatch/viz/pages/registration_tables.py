@@ -25,6 +25,7 @@ from magmatch.viz.figures.certainty_figures import (
     poses_figure,
 )
 from magmatch.viz.figures.registration_figures import shown_pose
+from magmatch.viz.figures.slices import map_in
 from magmatch.viz.pages.page import Section, again, details, figure_row, note, paragraph, table, with_terms
 from magmatch.viz.verdict import percent
 
@@ -144,9 +145,9 @@ def other_poses(
             for other in listed
         ],
     }
-    if isinstance(base, FieldMap) and target is not None:
+    if (base_map := map_in(base)) is not None and target is not None:
         compared = [
-            compare(base, target, other.T_base_target, result, N_COMPARED) if other.base is None else None
+            compare(base_map, target, other.T_base_target, result, N_COMPARED) if other.base is None else None
             for other in listed
         ]
         columns["overlap"] = ["" if c is None else f"{c.overlap:.0%}" for c in compared]

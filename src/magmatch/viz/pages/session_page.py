@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 
-# Most closures listed one by one, the least sure first.
-MAX_LISTED = 40
-
 NEXT_STEPS = {
     SlamStatus.CONNECTED: (
         "Use it: the .tum files hold the corrected poses, map.map the field, graph.g2o the graph for other programs.",
@@ -40,6 +37,11 @@ NEXT_STEPS = {
         "If places were passed twice, check --field-frame and units, and state the odometry's drift: --odometry-sd.",
     ),
 }
+# Nodes along a log whose standard deviation is drawn.
+MAX_NODES = 60
+# Ellipses drawn in a picture.
+MAX_ELLIPSES = 40
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 
 def write_session_report(path: str | Path, session: Session, result: SlamResult, command: str) -> None:
@@ -82,45 +84,6 @@ def _answer(result: SlamResult) -> page.Section:
     )
 
 
-def _closures(result: SlamResult) -> page.Section:
-    """Table of the closures, the least certain first."""
-    listed = sorted(result.closures, key=lambda c: (c.weight, c.probability))[:MAX_LISTED]
-    rows = [
-        [
-            f"{c.log_a}, {c.walked_a:.1f} m",
-            f"{c.log_b}, {c.walked_b:.1f} m",
-            f"{c.probability:.6f}",
-            f"{c.weight:.4f}" if c.weight else "rejected",
-        ]
-        for c in listed
-    ]
-    words = f"{len(listed)} of {len(result.closures)}, the least sure first."
-    return page.Section(
-        "Closures", [page.note(words), page.table(rows, ["at", "and at", "probability", "weight in the graph"])]
-    )
-
-
-def _anchors(result: SlamResult) -> page.Section:
-    """Farthest from where they should be first, in standard deviations."""
-    off = [float(np.linalg.norm(a.off)) for a in result.anchors]
-    order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[:MAX_LISTED]
-    rows = [
-        [result.anchors[k].log, f"{told(result.anchors[k].t)} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
-        for k in order
-    ]
-    words = (
-        "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log."
-    )
-    return page.Section("Fixed points", [page.note(words), page.table(rows, ["log", "at", "off by", "stated sd"])])
-
-
-# Nodes along a log whose standard deviation is drawn.
-MAX_NODES = 60
-# Ellipses drawn in a picture.
-MAX_ELLIPSES = 40
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-
-
 def session_figures(session: Session, component: int) -> "list[Figure]":
     """Paths of a component coloured by the field before, and over its map with closures after."""
     logs = session.components[component]
@@ -142,44 +105,6 @@ def session_figures(session: Session, component: int) -> "list[Figure]":
         "; lines: corrected paths, closures (dashed: rejected); ellipses: 95 % of where a node may be",
     )
     return [_before(session, cut, logs, before, limits), mapped]
-
-
-def weakness_figure(session: Session) -> "Figure":
-    """Standard deviation of the position along each log, relative to the first node of its frame."""
-    traces, worst = [], 0.0
-    for k, path in enumerate(session.paths):
-        nodes = path.nodes[draw.thinned(len(path.windows), MAX_NODES)]
-        sd = np.array([place for place, _ in session.standard_deviations(nodes)])
-        walked = path.walked[path.middles[nodes - path.first_node]]
-        worst = max(worst, float(sd.max()))
-        line = {
-            "color": (draw.BASE_COLOR, draw.TARGET_COLOR)[k % 2],
-            "width": 2,
-            "dash": DASHES[k // 2 % len(DASHES)],
-        }
-        name, marker = draw.label(session.names[k]), {"size": 5}
-        traces.append(draw.flat(np.column_stack([walked, sd]), "lines+markers", line=line, marker=marker, name=name))
-    figure = draw.new_plane(
-        "Where the graph is weak<br><sub>standard deviation of the place against the frame's first node</sub>",
-        traces, "path walked (m)", "m", is_equal=False,
-    )  # fmt: skip
-    figure.update_yaxes(rangemode="tozero")
-    return draw.described(figure, f"Standard deviation of the place along each log, at most {worst:.2f} m.")
-
-
-def _before(
-    session: Session, cut: Cut, logs: list[int], before: list[Points], limits: tuple[float, float]
-) -> "Figure":
-    traces = []
-    for k, p in zip(logs, before, strict=True):
-        rows = draw.thinned(len(p))
-        colors = draw.coloured_by_field(draw.magnitude_ut(session.given[k].field[rows]), limits)
-        marker = {"size": 4, "showscale": k == logs[0]} | colors
-        traces.append(draw.flat(cut.along(p[rows]), marker=marker, name=draw.label(session.names[k])))
-    as_given = "as surveyed" if session.is_rigid else "as odometry has them"
-    figure = cut.figure(f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces)
-    figure.update_layout(showlegend=False)
-    return draw.described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
 
 
 def _line(cut: Cut, p: Points, name: str, n: int) -> Any:
@@ -231,3 +156,73 @@ def _fixed_points(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
     style = {"color": draw.INK, "width": 2}
     ends = cut.along(draw.between(at, at + off))
     return [draw.flat(ends, "lines+markers", line=style, marker=marker, name="fixed point")]
+
+
+def _before(
+    session: Session, cut: Cut, logs: list[int], before: list[Points], limits: tuple[float, float]
+) -> "Figure":
+    traces = []
+    for k, p in zip(logs, before, strict=True):
+        rows = draw.thinned(len(p))
+        colors = draw.coloured_by_field(draw.magnitude_ut(session.given[k].field[rows]), limits)
+        marker = {"size": 4, "showscale": k == logs[0]} | colors
+        traces.append(draw.flat(cut.along(p[rows]), marker=marker, name=draw.label(session.names[k])))
+    as_given = "as surveyed" if session.is_rigid else "as odometry has them"
+    figure = cut.figure(f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces)
+    figure.update_layout(showlegend=False)
+    return draw.described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
+
+
+def weakness_figure(session: Session) -> "Figure":
+    """Standard deviation of the position along each log, relative to the first node of its frame."""
+    traces, worst = [], 0.0
+    for k, path in enumerate(session.paths):
+        nodes = path.nodes[draw.thinned(len(path.windows), MAX_NODES)]
+        sd = np.array([place for place, _ in session.standard_deviations(nodes)])
+        walked = path.walked[path.middles[nodes - path.first_node]]
+        worst = max(worst, float(sd.max()))
+        line = {
+            "color": (draw.BASE_COLOR, draw.TARGET_COLOR)[k % 2],
+            "width": 2,
+            "dash": DASHES[k // 2 % len(DASHES)],
+        }
+        name, marker = draw.label(session.names[k]), {"size": 5}
+        traces.append(draw.flat(np.column_stack([walked, sd]), "lines+markers", line=line, marker=marker, name=name))
+    figure = draw.new_plane(
+        "Where the graph is weak<br><sub>standard deviation of the place against the frame's first node</sub>",
+        traces, "path walked (m)", "m", is_equal=False,
+    )  # fmt: skip
+    figure.update_yaxes(rangemode="tozero")
+    return draw.described(figure, f"Standard deviation of the place along each log, at most {worst:.2f} m.")
+
+
+def _closures(result: SlamResult) -> page.Section:
+    """Table of the closures, the least certain first."""
+    listed = sorted(result.closures, key=lambda c: (c.weight, c.probability))[: page.MAX_LISTED]
+    rows = [
+        [
+            f"{c.log_a}, {c.walked_a:.1f} m",
+            f"{c.log_b}, {c.walked_b:.1f} m",
+            f"{c.probability:.6f}",
+            f"{c.weight:.4f}" if c.weight else "rejected",
+        ]
+        for c in listed
+    ]
+    words = f"{len(listed)} of {len(result.closures)}, the least sure first."
+    return page.Section(
+        "Closures", [page.note(words), page.table(rows, ["at", "and at", "probability", "weight in the graph"])]
+    )
+
+
+def _anchors(result: SlamResult) -> page.Section:
+    """Farthest from where they should be first, in standard deviations."""
+    off = [float(np.linalg.norm(a.off)) for a in result.anchors]
+    order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[: page.MAX_LISTED]
+    rows = [
+        [result.anchors[k].log, f"{told(result.anchors[k].t)} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
+        for k in order
+    ]
+    words = (
+        "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log."
+    )
+    return page.Section("Fixed points", [page.note(words), page.table(rows, ["log", "at", "off by", "stated sd"])])

@@ -16,9 +16,6 @@ from magmatch.viz.pages import page
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
-
-# Most parts listed one by one, the longest.
-MAX_LISTED = 40
 # Where the place is known at the end and the pose is not, nothing was lost.
 UNCERTAIN = (
     "The place is known to the end, the pose not as well as asked for: see the standard deviations below.",
@@ -39,19 +36,6 @@ NEXT_STEPS = {
 }
 
 
-def next_steps(result: LocalizationResult) -> tuple[str, ...]:
-    """Say what to do, given how the log ended."""
-    return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
-
-
-def verdict_on(result: LocalizationResult) -> str:
-    """Say where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
-    ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
-    ended = "Pose too uncertain at the end" if result.is_place_known else ended
-    share = f"; {result.share_in_words}" if result.is_localized else ""
-    return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
-
-
 def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
     """Write one HTML page about a log in a map; it works offline and on a phone."""
     answer = [
@@ -64,7 +48,7 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
         page.Section(f"In {m.survey.name}", [page.figure_row([path_figure(track, k)])])
         for k, m in enumerate(track.maps)
     ]
-    longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[:MAX_LISTED]
+    longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[: page.MAX_LISTED]
     rows = [
         [f"{s.t0:.2f}", f"{s.t1 - s.t0:.1f} s", s.phase, s.map or "", s.why]
         for s in sorted(longest, key=lambda s: s.t0)
@@ -77,6 +61,19 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     )
     sections.append(page.again("Run it again", "", None, result.config))
     page.write_page(path, f"magmatch: {track.log.name}", sections)
+
+
+def verdict_on(result: LocalizationResult) -> str:
+    """Say where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
+    ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
+    ended = "Pose too uncertain at the end" if result.is_place_known else ended
+    share = f"; {result.share_in_words}" if result.is_localized else ""
+    return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
+
+
+def next_steps(result: LocalizationResult) -> tuple[str, ...]:
+    """Say what to do, given how the log ended."""
+    return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
 
 
 def path_figure(track: Track, k: int) -> "Figure":
@@ -101,6 +98,11 @@ def path_figure(track: Track, k: int) -> "Figure":
     )
 
 
+def _name(track: Track, k: int) -> str:
+    names = dict.fromkeys(e.map for e in track.estimates if e.map is not None)
+    return sorted(names)[k]
+
+
 def status_figure(track: Track) -> "Figure":
     """Probability of the best place along the path, and where a pose was accurate enough to be stated."""
     walked = path_walked(track.log.positions)
@@ -123,8 +125,3 @@ def sd_figure(result: LocalizationResult) -> "Figure":
         "How accurate the pose was", [trace], "t (s)", "sd in the worst direction (m)", is_equal=False
     )
     return draw.described(figure, f"Standard deviation of the stated poses over time: {result.share_in_words}.")
-
-
-def _name(track: Track, k: int) -> str:
-    names = dict.fromkeys(e.map for e in track.estimates if e.map is not None)
-    return sorted(names)[k]

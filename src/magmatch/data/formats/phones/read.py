@@ -59,9 +59,9 @@ def read_phone_log(
                 streams = found | streams
                 apps.append(app)
         told = with_metadata(Path(path), apps[0] if apps else "", streams)
+    except DataFormatError:
+        raise
     except BROKEN_ZIP as error:
-        if isinstance(error, DataFormatError):
-            raise
         raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
     return PhoneLog(Path(path), apps[0] if apps else "unknown", told, points)
 

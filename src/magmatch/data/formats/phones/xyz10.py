@@ -8,6 +8,7 @@ from pathlib import Path
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import Row, lines_of, read_tagged
 from magmatch.data.surveyed_points import SurveyedPoints
+from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.typing import Indices, Matrix
 
 APP = "XYZ10"
@@ -22,7 +23,7 @@ _HEAD = re.compile(rb"(?m)^\d{10,}\tTYPE_[A-Z0-9_]+\t")
 _FLOOR = re.compile(rb"(?m)^#.*\tFloorName:([^\t\r\n]+)")
 # Where a row follows another without a line end between, as in some of the published files.
 _JOINED = re.compile(r"(?=\d{13}\tTYPE_)")
-MS = 1e-3  # s
+MS = 1 / UNITS_PER_SECOND["ms"]  # s
 
 
 def begins_like(head: bytes) -> bool:
