@@ -71,11 +71,7 @@ OBSTACLES = {
         "[p.write_bytes(b'?') for p in __import__('pathlib').Path(loop._cache.cache_path).glob('*.nbi')]",
         "once per kind of task",
     ),
-    "what is kept is of another": (
-        "",
-        "caching.IndexDataCacheFile._load_index = nowhere",
-        "are not kept",
-    ),
+    "what is kept is of another": ("", "caching.IndexDataCacheFile._load_index = nowhere", "are not kept"),
 }
 
 

@@ -59,12 +59,6 @@ def test_swapping_base_and_target_inverts_the_answer_within_its_covariance(offic
     assert xi @ np.linalg.solve(result.covariance, xi) < 12.0
 
 
-def test_the_same_seed_gives_the_same_bits(office):
-    _, base_map, target_map, result = office
-    again = mm.register(base_map, target_map)
-    np.testing.assert_array_equal(again.T_base_target.as_matrix(), result.T_base_target.as_matrix())
-
-
 @pytest.mark.slow
 def test_walks_along_the_path_of_another_are_refined_from_both_sides():
     errors = []

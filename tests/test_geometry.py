@@ -35,12 +35,7 @@ def two_transforms(seed):
 def test_moving_twice_is_moving_by_the_product(seed):
     T_a_b, T_b_c, rng = two_transforms(seed)
     p, G, D = rng.normal(size=(5, 3)), rng.normal(size=(5, 3, 3)), rng.normal(size=(5, 3, 3, 3))
-    for move, x in (
-        (transform_points, p),
-        (rotate_vectors, p),
-        (rotate_tensors, G),
-        (rotate_third_order, D),
-    ):
+    for move, x in ((transform_points, p), (rotate_vectors, p), (rotate_tensors, G), (rotate_third_order, D)):
         np.testing.assert_allclose(move(move(x, T_b_c), T_a_b), move(x, T_a_b * T_b_c), atol=1e-12)
 
 

@@ -42,10 +42,7 @@ SURVEYS: dict[str, tuple[str | bytes, str]] = {
     "microtesla": (with_columns(HEADER, "0,0,0,20,0,40"), "--field-unit uT"),
     "zero field": ("\n".join([HEADER, *(f"{i},0,0,0,0,0" for i in range(20))]), "zero"),
     "one point": (with_columns(HEADER, "1,2,3,2e-5,0,4e-5"), "one point"),
-    "wider than any place": (
-        "\n".join([HEADER, *(f"{i}e8,0,0,2e-5,0,4e-5" for i in range(20))]),
-        "--length-unit",
-    ),
+    "wider than any place": ("\n".join([HEADER, *(f"{i}e8,0,0,2e-5,0,4e-5" for i in range(20))]), "--length-unit"),
     "time runs backward": (
         "\n".join([HEADER + ",t", *(f"{r},{-i}" for i, r in enumerate(good_rows()))]),
         "line 3, column 't'",

@@ -105,8 +105,8 @@ def xyz10(folder, name, origin=(100.0, 50.0)):
     tags["Magnetometer"] = "MAGNETIC_FIELD"
     lines = ["#\tstartTime:1574568614708"]
     for sensor, tag in tags.items():
-        # A third of the magnetometer's readings is as much as slam needs here.
-        every = 3 if sensor == "Magnetometer" else 1
+        # A sixth of the magnetometer's readings is as much as slam needs here.
+        every = 6 if sensor == "Magnetometer" else 1
         for s, v in zip(t[::every], sensors[sensor][::every], strict=True):
             lines.append("\t".join(map(str, [start + round(1e3 * s), f"TYPE_{tag}", *v, 3])))
     # Steps go along the phone's upper end: y at first; turns of a half at 9 s and 14 s.
@@ -219,7 +219,7 @@ def test_points_in_degrees_are_metres_about_the_first(tmp_path, run):
     t, sensors = readings()
     lines = ["% GetSensorData"]
     for tag, name in (("ACCE", "TotalAcceleration"), ("GYRO", "Gyroscope"), ("MAGN", "Magnetometer")):
-        every = 3 if tag == "MAGN" else 1
+        every = 6 if tag == "MAGN" else 1
         rows = zip(t[::every], sensors[name][::every], strict=True)
         lines += [f"{tag};{s};{s};{x};{y};{z};3" for s, (x, y, z) in rows]
     north = 1 / 111_200  # degrees a metre

@@ -10,13 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from magmatch.estimation.map_null_model import (
-    FACTORS,
-    ROUGH_SHARE,
-    CellMeans,
-    NullModel,
-    UnrelatedField,
-)
+from magmatch.estimation.map_null_model import FACTORS, ROUGH_SHARE, CellMeans, NullModel, UnrelatedField
 from magmatch.threads import one_blas_thread
 
 RNG = np.random.default_rng(0)

@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose, turn_about
-from magmatch.estimation.posterior import (
-    Fitted,
-    effective_evidence,
-    log_odds,
-    needed_evidence,
-    posterior_over,
-)
+from magmatch.estimation.posterior import Fitted, effective_evidence, log_odds, needed_evidence, posterior_over
 from magmatch.geometry import random_transform
 
 KINDS = ("map", "walk")

@@ -187,10 +187,7 @@ def test_a_sensor_in_a_map_of_biased_sensors_may_be_as_biased_as_those(mapped):
 def test_info_lists_each_logs_bias_in_microtesla():
     found = SensorBiases(np.array([[1e-6, -2e-6, 3e-6]]), np.full((1, 3), 1e-7), 4e-6)
     said = info_table(found.facts([Survey(np.zeros((1, 3)), np.zeros((1, 3)), name="monday.csv")]))
-    assert said.splitlines() == [
-        "sensor bias spread  4 uT",
-        "bias of monday.csv  1, -2, 3 uT (sd 0.1, 0.1, 0.1 uT)",
-    ]
+    assert said.splitlines() == ["sensor bias spread  4 uT", "bias of monday.csv  1, -2, 3 uT (sd 0.1, 0.1, 0.1 uT)"]
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,7 @@ from magmatch.errors import DataFormatError
 from magmatch.preparation.preparation_report import PreparationReport
 from magmatch.registration.result import RegistrationResult
 
-LOADERS = {
-    "result": RegistrationResult.load,
-    "preparation report": PreparationReport.load,
-}
+LOADERS = {"result": RegistrationResult.load, "preparation report": PreparationReport.load}
 # Where the books are kept: few bytes, which chance would rarely hit.
 MARKS = (b'"checksum"', b'"schema"', b"sha256", b'"covariance"')
 

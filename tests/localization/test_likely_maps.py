@@ -46,7 +46,7 @@ def test_the_right_map_of_a_folder_is_named_and_the_pose_is_in_it(folder):
 
 
 def test_a_walk_of_no_map_in_the_folder_is_nowhere(folder):
-    log, _ = drifting_walk(Place(77), 52, laps=1.2)
+    log, _ = drifting_walk(Place(77), 52, laps=0.8)
     track = mm.localize(mm.open_atlas(folder), log, mm.LocalizerConfig(is_planar=True))
     assert not track.is_stated.any()
     assert sum(track.result().maps.values()) < 0.5

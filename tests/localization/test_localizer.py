@@ -149,7 +149,7 @@ def test_in_a_constant_field_nothing_is_stated_and_the_reason_is_named(followed)
     assert "constant" in result.reason
 
 
-@pytest.mark.parametrize("seed", [11, 12])
+@pytest.mark.parametrize("seed", [11, pytest.param(12, marks=pytest.mark.slow)])
 def test_elsewhere_no_pose_is_stated(place, seed):
     log, _ = drifting_walk(Place(90 + seed), seed, laps=1.5)
     track = mm.localize(place, log)

@@ -12,9 +12,7 @@ from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.search.invariant_search import InvariantSearchConfig, invariant_search
-from magmatch.registration.weigh.cells import (
-    null_models_of,
-)
+from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.evidence import weigh_pose
 
 
@@ -154,11 +152,7 @@ def test_like_sensors_are_left_alike(prepared_pair):
     config, nulls = RefinementConfig(), null_models_of(base, target)
     like, free = (
         weigh_pose(
-            base,
-            target,
-            refine(base, target, T_true, FLAT, config, np.random.default_rng(0), level),
-            nulls,
-            FLAT,
+            base, target, refine(base, target, T_true, FLAT, config, np.random.default_rng(0), level), nulls, FLAT
         )
         for level in (0, 1)
     )

@@ -14,9 +14,7 @@ from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
-from magmatch.registration.weigh.cells import (
-    null_models_of,
-)
+from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, map_covariance
 from magmatch.registration.weigh.evidence import Change, weigh_pose
 

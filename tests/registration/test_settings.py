@@ -22,12 +22,7 @@ from magmatch.simulation.simulate import simulate
 FIELD = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
 FEW: dict[str, Any] = {
     "field": FIELD,
-    "invariants": {
-        "n_anchors": 80,
-        "n_neighbours": 8,
-        "n_coarse": 100,
-        "n_fine": 10,
-    },
+    "invariants": {"n_anchors": 80, "n_neighbours": 8, "n_coarse": 100, "n_fine": 10},
     "refinement": {"n_samples": 200, "n_ranking_samples": 100},
 }
 PAPER = {

@@ -6,13 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.simulation.paths import (
-    around_loop,
-    circles,
-    heading_along,
-    resample,
-    smooth_noise,
-)
+from magmatch.simulation.paths import around_loop, circles, heading_along, resample, smooth_noise
 
 SETTINGS = settings(deadline=None, max_examples=25)
 

@@ -54,10 +54,7 @@ def test_earth_field_is_added_once(exact):
 @pytest.mark.parametrize("seed", range(3))
 def test_room_sources_stay_clear_of_both_surveys(scenario, seed):
     scene = scene_of(scenario, seed, n_samples=500)
-    for sources, path in (
-        (scene.base_sources, scene.base_path),
-        (scene.target_sources, scene.target_path),
-    ):
+    for sources, path in ((scene.base_sources, scene.base_path), (scene.target_sources, scene.target_path)):
         assert min(source.distance_to(path.positions).min() for source in sources) >= 0.3 - 1e-9
 
 

@@ -50,21 +50,29 @@ def test_a_submap_is_made_of_what_was_known_when_it_was_first_asked_for(lone):
     assert LoopSearch(places, Runner()).submap(0).key != asked[0].key
 
 
-def test_what_was_kept_needs_no_submap(lone, tmp_path, monkeypatch):
-    slam(lone.log, keep=tmp_path / "kept")
+@pytest.fixture(scope="module")
+def kept(lone, tmp_path_factory):
+    """A folder in which all that was found for the log was kept as soon as it was found."""
+    folder = tmp_path_factory.mktemp("spread") / "kept"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "KEEP_EVERY_S", 0.0)
+        slam(lone.log, keep=folder)
+    return folder
+
+
+def test_what_was_kept_needs_no_submap(lone, kept, monkeypatch):
     monkeypatch.setattr(runner.Shelf, "take", None)
-    assert_same(slam(lone.log, keep=tmp_path / "kept"), lone.session)
+    assert_same(slam(lone.log, keep=kept), lone.session)
 
 
 @pytest.mark.parametrize("run", [None, pytest.param(elsewhere, marks=pytest.mark.slow)])
-def test_a_search_that_was_interrupted_ends_as_if_it_was_not(lone, tmp_path, monkeypatch, run):
+def test_a_search_that_was_interrupted_ends_as_if_it_was_not(lone, kept, tmp_path, monkeypatch, run):
     """In the middle of the windows that are looked for together, before and after the noise was learned."""
     monkeypatch.setattr(runner, "KEEP_EVERY_S", 0.0)
-    slam(lone.log, keep=tmp_path / "all")
-    kept = sorted((tmp_path / "all").iterdir(), key=lambda path: int(path.stem))
+    files = sorted(kept.iterdir(), key=lambda path: int(path.stem))
     for share in (0.3, 0.7):
         part = tmp_path / f"{share}"
         part.mkdir()
-        for path in kept[: int(share * len(kept))]:
+        for path in files[: int(share * len(files))]:
             shutil.copy(path, part)
         assert_same(slam(lone.log, run=run, keep=part), lone.session)

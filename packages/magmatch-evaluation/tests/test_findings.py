@@ -9,13 +9,7 @@ import pytest
 
 import toy
 from magmatch_evaluation.experiments import EXPERIMENTS, QUICK, Tolerance
-from magmatch_evaluation.findings import (
-    Findings,
-    markdown,
-    result_tables,
-    save_tables,
-    write_html,
-)
+from magmatch_evaluation.findings import Findings, markdown, result_tables, save_tables, write_html
 from magmatch_evaluation.notes import PRINTED, PUBLISHED
 from magmatch_evaluation.plan import ALL
 from magmatch_evaluation.result_tables import mapping_table, printed_table

@@ -23,7 +23,7 @@ def matlab_bomb(path):
 
 
 def gzip_bomb(path):
-    with gzip.open(path, "wb") as stream:
+    with gzip.open(path, "wb", compresslevel=1) as stream:
         stream.write(b"\x89MCAP0\r\n")
         for _ in range(LARGE >> 20):
             stream.write(bytes(1 << 20))
@@ -31,7 +31,7 @@ def gzip_bomb(path):
 
 def text_bomb(path):
     """A table of one row again and again."""
-    with gzip.open(path, "wb") as stream:
+    with gzip.open(path, "wb", compresslevel=1) as stream:
         stream.write(b"t,x,y,z,bx,by,bz\n")
         for _ in range(50):
             stream.write(b"1,2,3,4,5,6,7\n" * 75_000)

@@ -11,15 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch_serve.messages import (
-    POSE,
-    SAMPLE,
-    read_hello,
-    read_pose,
-    read_samples,
-    write_pose,
-    write_sample,
-)
+from magmatch_serve.messages import POSE, SAMPLE, read_hello, read_pose, read_samples, write_pose, write_sample
 from magmatch_serve.refusals import RefusedError
 
 NUMBERS = st.floats(-1e3, 1e3)
@@ -43,7 +35,7 @@ def or_refusal(function, *arguments):
         return refused
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.binary(max_size=300) | st.text(max_size=99) | (ANYTHING | SAMPLES | st.lists(SAMPLES)).map(json.dumps))
 def test_any_message_is_finite_samples_or_a_refusal(message):
     rows = or_refusal(read_samples, message, 5)

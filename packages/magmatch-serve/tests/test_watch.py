@@ -1,23 +1,30 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whoever watches is sent a first picture, however many pictures come while it is made."""
 
+import asyncio
 import json
-from contextlib import ExitStack
+from types import SimpleNamespace
 
-from websockets.sync.client import connect
+from magmatch_serve.config import ServeConfig
+from magmatch_serve.service import Service
 
-from serving import client, serving
 
+def test_a_watcher_gets_a_first_picture_with_trails_though_others_are_drawn_while_it_is_made(hall, tmp_path):
+    service = Service(hall.map, ServeConfig(states=tmp_path))
 
-def test_every_watcher_gets_a_first_picture_while_pictures_come_fast(hall, tmp_path):
-    config = tmp_path / "fast.yaml"
-    config.write_text("draw_every: 0.0005\ntrackers: 1\n")
-    options = ("--config", config, "--states", tmp_path / "states")
-    with serving(hall.map, *options) as service, client(service, name="one"), ExitStack() as open_ones:
-        url = service.url.replace("http", "ws") + "/watch"
-        for _ in range(40):
-            # Who leaves does not wait for an answer behind all pictures that it never took.
-            watcher = open_ones.enter_context(connect(url, proxy=None, close_timeout=0.01))
-            first = json.loads(watcher.recv(timeout=20))
-            assert [body["name"] for body in first["bodies"]] == ["one"]
-            assert "trail" in first["bodies"][0]
+    async def watch(with_trail):
+        if with_trail:
+            await service._draw()
+        return [{"name": "one"} | ({"trail": []} if with_trail else {})]
+
+    async def seen():
+        async with service.watched() as pictures:
+            first = json.loads(pictures.get_nowait())
+            for _ in range(3):  # nobody takes them
+                await service._draw()
+            return first, json.loads(pictures.get_nowait()), len(service._watchers)
+
+    service.foxglove, service.trackers = None, SimpleNamespace(watch=watch)
+    first, later, n_watching = asyncio.run(seen())
+    assert (first["bodies"], later["bodies"]) == ([{"name": "one", "trail": []}], [{"name": "one"}])
+    assert (n_watching, len(service._watchers)) == (1, 0)

@@ -32,10 +32,7 @@ def walk(turns=SQUARE, *, pitch_deg=50.0, stand=5.0, bias=(0.0, 0.0, 0.0), rate=
     felt = orientations.apply(np.outer(up, [0, 0, 1]), inverse=True)
     spin = (orientations[:-1].inv() * orientations[1:]).as_rotvec() * rate
     gyro = np.vstack([spin, spin[-1:]]) + bias
-    streams = {
-        "acceleration": Stream(times[::2], felt[::2], "acceleration"),
-        "rate": Stream(times, gyro, "rate"),
-    }
+    streams = {"acceleration": Stream(times[::2], felt[::2], "acceleration"), "rate": Stream(times, gyro, "rate")}
     return PhoneLog(Path("walk.zip"), "made up", streams)
 
 

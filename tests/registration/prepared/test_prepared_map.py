@@ -11,11 +11,7 @@ from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE
 from magmatch.field.values import FieldValues
 from magmatch.geometry import random_transform
-from magmatch.registration.prepared.prepared_map import (
-    correlation_length_of,
-    height_range,
-    prepare,
-)
+from magmatch.registration.prepared.prepared_map import correlation_length_of, height_range, prepare
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,7 @@ from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinementConfig, refine
-from magmatch.registration.weigh.cells import (
-    agreeing_cells,
-    compare_cells,
-    null_models_of,
-)
+from magmatch.registration.weigh.cells import agreeing_cells, compare_cells, null_models_of
 from magmatch.registration.weigh.change_search import ChangeSearch
 from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
 from magmatch.registration.weigh.evidence import weigh_pose

@@ -4,12 +4,7 @@
 import numpy as np
 import pytest
 
-from magmatch.registration.refine.sensors import (
-    SensorConfig,
-    identical_sensors,
-    is_soft_iron,
-    levels_to_try,
-)
+from magmatch.registration.refine.sensors import SensorConfig, identical_sensors, is_soft_iron, levels_to_try
 
 RNG = np.random.default_rng(0)
 FIELD = 4e-5 * RNG.standard_normal((20, 3))

@@ -12,12 +12,7 @@ from hand_made import box, prepared_map, seen_from, some_field, turn_about
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
-from magmatch.registration.weigh.cells import (
-    CellComparison,
-    agreeing_cells,
-    compare_cells,
-    null_models_of,
-)
+from magmatch.registration.weigh.cells import CellComparison, agreeing_cells, compare_cells, null_models_of
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.evidence import weigh_pose
 

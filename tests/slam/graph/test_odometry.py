@@ -38,15 +38,11 @@ def test_it_is_the_spread_of_many_walks(path):
     stated = covariance_beside(path, k, other, CONFIG)
     loads = bend(path.survey.positions[a : last + 1], 0, CONFIG.odometry, upright=True, planar=False)[-1]
     shift = path.survey.positions[last] - path.centers[k]
-    rng, found = np.random.default_rng(0), []
-    for _ in range(4000):
-        error = loads @ rng.standard_normal(loads.shape[1])
-        # Where the sample beside it truly is; the pose keeps its place relative to that.
-        moved = RigidTransform.from_components(shift + error[3:], Rotation.from_rotvec(error[:3]))
-        true = moved * RigidTransform.from_translation(-shift) * other
-        xi = true.inv() * other
-        found.append(np.concatenate([xi.rotation.as_rotvec(), xi.translation]))
-    sampled = np.cov(np.array(found).T)
+    errors = np.random.default_rng(0).standard_normal((4000, loads.shape[1])) @ loads.T
+    # Where the sample beside it truly is; the pose keeps its place relative to that.
+    moved = RigidTransform.from_components(shift + errors[:, 3:], Rotation.from_rotvec(errors[:, :3]))
+    off = (moved * RigidTransform.from_translation(-shift) * other).inv() * other
+    sampled = np.cov(np.hstack([off.rotation.as_rotvec(), off.translation]).T)
     scale = np.sqrt(np.maximum(np.diagonal(stated), 1e-8))
     np.testing.assert_allclose(sampled / np.outer(scale, scale), stated / np.outer(scale, scale), atol=0.1)
     assert np.sqrt(stated[3, 3]) > 0.03
