@@ -129,8 +129,10 @@ def _stuck_for_a_while(readings: Vectors, turned: Vectors, times: Scalars | None
     for axis, levels in enumerate(Levels.of(readings)):
         rows = np.flatnonzero(is_new & ~is_limited[:, axis])
         starts = np.flatnonzero(np.diff(levels.number[rows], prepend=-1))
-        for run in np.split(rows, starts[1:]):
-            if len(run) >= LONG and float(np.ptp(turned[run, axis])) > TURNED * size:
+        lengths = np.diff(starts, append=len(rows))
+        for k in np.flatnonzero(lengths >= LONG):
+            run = rows[starts[k] : starts[k] + lengths[k]]
+            if float(np.ptp(turned[run, axis])) > TURNED * size:
                 ends = [told(times[k]) if times is not None else f"sample {k}" for k in run[[0, -1]].tolist()]
                 unit = " s" if times is not None else ""
                 value = field_text(float(readings[run[0], axis]))

@@ -80,7 +80,10 @@ class Trajectory:
         if np.array_equal(self.times[hit], times):  # the poses themselves, to the bit
             return self.positions[hit], self.orientations[hit]
         positions = np.column_stack([np.interp(times, self.times, axis) for axis in self.positions.T])
-        return positions, Slerp(self.times, self.orientations)(times)
+        # Between the poses about these times: a log is asked at a few of its thousands again and again.
+        after = np.maximum(hit, 1)
+        rows = np.union1d(after - 1, after)
+        return positions, Slerp(self.times[rows], self.orientations[rows])(times)
 
     def scaled(self, metre_per_unit: float) -> "Trajectory":
         """Positions in metres, where they came in another unit."""

@@ -57,7 +57,7 @@ class CholeskyFactor:
         z = np.asfortranarray(columns[self.elimination.unknown], dtype=self.precision)
         for front, L, X in zip(self.elimination.fronts, self.pivots, self.below, strict=True):
             if len(L):
-                z[front.start : front.stop] = self._trsm(1.0, L, z[front.start : front.stop], lower=1)
+                z[front.start : front.stop] = self.trsm(1.0, L, z[front.start : front.stop], lower=1)
                 z[front.border] -= X @ z[front.start : front.stop]
         self._solve_transposed(z)
         return np.ascontiguousarray(z[self.elimination.position], dtype=np.float64).reshape(rhs.shape)
@@ -73,7 +73,7 @@ class CholeskyFactor:
         for front, L, X in zip(self.elimination.fronts[::-1], self.pivots[::-1], self.below[::-1], strict=True):
             if len(L):
                 own = z[front.start : front.stop] - X.T @ z[front.border]
-                z[front.start : front.stop] = self._trsm(1.0, L, own, lower=1, trans_a=1)
+                z[front.start : front.stop] = self.trsm(1.0, L, own, lower=1, trans_a=1)
 
     @property
     def precision(self) -> np.dtype[np.floating]:
@@ -81,7 +81,8 @@ class CholeskyFactor:
         return self.pivots[0].dtype
 
     @property
-    def _trsm(self) -> Callable[..., np.ndarray]:
+    def trsm(self) -> Callable[..., np.ndarray]:
+        """Solver of its triangles."""
         return blas.dtrsm if self.precision == np.float64 else blas.strsm
 
 

@@ -9,7 +9,6 @@ neighbours at every front they share.
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.linalg import blas
 
 from magmatch.field.cholesky.multifrontal import CholeskyFactor
 from magmatch.field.cholesky.nested_dissection import Elimination
@@ -45,20 +44,23 @@ def half_solves(
         n = front.stop - front.start
         subtree[k] = min([front.start, *(int(subtree[c]) for c in front.children)])
         low, high = (int(i) for i in np.searchsorted(first, [subtree[k], front.stop]))
-        local = np.zeros((n + len(front.border), high - low, n_rows))
+        if low == high:
+            continue
+        # In the factor's own precision, or all of the factor would be converted for a few points.
+        local = np.zeros((n + len(front.border), high - low, n_rows), factor.precision)
         for child, child_rows in zip(front.children, front.child_rows, strict=True):
-            start, stop, update = waiting.pop(child)
-            local[child_rows, start - low : stop - low] += update
+            if child in waiting:
+                start, stop, update = waiting.pop(child)
+                local[child_rows, start - low : stop - low] += update
         for column in range(int(np.searchsorted(first, front.start)), high):
             at = position[order[column]]
             later = n + np.searchsorted(front.border, at)
             local[np.where(at < front.stop, at - front.start, later), column - low] = rows[order[column]].T
         flat = local.reshape(len(local), -1)
         # Transposed views are in BLAS' own order: nothing is copied.
-        own = blas.dtrsm(1.0, L, flat[:n].T, side=1, lower=1, trans_a=1).T if n and high > low else flat[:n]
+        own = factor.trsm(1.0, L, flat[:n].T, side=1, lower=1, trans_a=1).T if n else flat[:n]
         waiting[k] = (low, high, (flat[n:] - X @ own).reshape(len(front.border), high - low, n_rows))
-        if high > low:
-            yield order[low:high], own.reshape(n, high - low, n_rows)
+        yield order[low:high], own.reshape(n, high - low, n_rows)
 
 
 def marginal_covariances(factor: CholeskyFactor, unknowns: np.ndarray, rows: np.ndarray) -> np.ndarray:
