@@ -69,6 +69,11 @@ def decode(channel: Channel, payload: bytes) -> Any:
     raise MalformedError(msg)
 
 
+def number(value: Any) -> float:
+    """A number of a message; JSON has no NaN, and writes null."""
+    return float("nan" if value is None else value)
+
+
 def no_json(error: Exception) -> MalformedError:
     """Say what is wrong with a message written as JSON."""
     return MalformedError(printable(f"is not the JSON of such a message ({type(error).__name__}: {error})"))
