@@ -55,6 +55,11 @@ def mcap_with(payload, encoding="cdr", name=MAG):
     return file_of(head, message(1, payload), message(2, payload))
 
 
+def json_field(stamp=None, frame="", **axes):
+    header = {"stamp": stamp or {"sec": 1, "nsec": 2}, "frame_id": frame}
+    return json.dumps({"header": header, "magnetic_field": {"x": 1e-5, "y": 0, "z": 0} | axes}).encode()
+
+
 MCAPS = {
     "signature alone": (lambda: MAGIC, MENDED),
     "two signatures": (lambda: MAGIC + MAGIC, MENDED),
@@ -80,18 +85,11 @@ MCAPS = {
     "extended CDR": (lambda: mcap_with(b"\0\7" + GOOD_FIELD[2:]), "unsupported CDR"),
     "JSON that is none": (lambda: mcap_with(b"{", "json"), "is not the JSON of such a message"),
     "JSON without a header": (lambda: mcap_with(b'{"magnetic_field": {}}', "json"), "no attribute 'header'"),
-    "JSON of words": (
-        lambda: mcap_with(
-            json.dumps(
-                {
-                    "header": {"stamp": {"sec": 1, "nsec": 2}, "frame_id": ""},
-                    "magnetic_field": dict.fromkeys("xyz", "a"),
-                }
-            ).encode(),
-            "json",
-        ),
-        "could not convert",
-    ),
+    "JSON of words": (lambda: mcap_with(json_field(x="a"), "json"), "could not convert"),
+    "JSON without a number": (lambda: mcap_with(json_field(x=None), "json"), "holds NaN or infinity"),
+    "JSON whose stamp is none": (lambda: mcap_with(json_field({"foo": 1}), "json"), "(KeyError: 'sec')"),
+    "JSON whose stamp is half": (lambda: mcap_with(json_field({"secs": 1}), "json"), "(KeyError: 'nanosec')"),
+    "JSON of a time beyond all": (lambda: mcap_with(json_field({"sec": 1e20, "nsec": 1}), "json"), "OverflowError"),
 }
 
 

@@ -78,10 +78,12 @@ def test_the_battery_of_older_robots_is_read_too(tmp_path):
 def test_numbers_written_as_json_are_read(tmp_path):
     contents = {"/amps": ("std_msgs/Float64", [{"data": 2.5}, {"data": "x"}, {}, [], {"data": 3.5}]),
                 "/battery": ("sensor_msgs/BatteryState", [{"current": 1.5}, {"current": None}]),
+                "/motors": ("std_msgs/Float32MultiArray", [{"data": [1.0, None]}, {"data": [None, 2.0]}]),
                 "/joints": ("sensor_msgs/JointState", [{"name": ["a"], "effort": [4.0]}])}  # fmt: skip
     written = {t: (kind, [json.dumps(content).encode() for content in c]) for t, (kind, c) in contents.items()}
     assert numbers_of(tmp_path / "log.mcap", "json", written) == {
         "/amps": [2.5, 3.5], "/battery current": [1.5], "/joints effort a": [4.0],
+        "/motors [0]": [1.0], "/motors [1]": [2.0],
     }  # fmt: skip
 
 

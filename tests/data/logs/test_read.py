@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What must not change the survey in a log, and what each clock, frame and byte order must give."""
 
+import gzip
 import itertools
 import struct
 
@@ -129,3 +130,12 @@ def test_quaternions_may_be_rounded_and_no_more(made, flight, tmp_path):
         values = odom.values * [1.0, 1, 1, factor, factor, factor, factor]
         with pytest.raises(DataFormatError, match="expected a unit quaternion"):
             read_survey(made.mcap(tmp_path / "log.mcap", [mag, made.replace(odom, values=values)]))
+
+
+def test_warnings_about_a_packed_log_name_the_file_itself(made, flight, tmp_path, caplog):
+    frame = [made.replace(flight.series[0], frame="elsewhere"), flight.series[1]]
+    path = made.mcap(tmp_path / "drive.mcap", frame)
+    path.write_bytes(gzip.compress(path.read_bytes()))
+    read_survey(path, SurveyFormat(field_frame="sensor"))
+    told = [message for message in caplog.messages if "nothing says where 'elsewhere' sits" in message]
+    assert [message.startswith(f"{path}: ") for message in told] == [True]

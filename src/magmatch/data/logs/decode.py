@@ -57,6 +57,11 @@ class MalformedError(ValueError):
     """These bytes are no message of the expected type."""
 
 
+def number(value: Any) -> float:
+    """A number of a message; JSON has no NaN, and writes null."""
+    return float("nan" if value is None else value)
+
+
 def no_json(error: Exception) -> MalformedError:
     """Say what is wrong with a message written as JSON."""
     return MalformedError(printable(f"is not the JSON of such a message ({type(error).__name__}: {error})"))

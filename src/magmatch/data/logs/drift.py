@@ -3,7 +3,7 @@
 
 import logging
 from array import array
-from contextlib import closing, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,8 @@ import numpy as np
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.sniff import sniff
 from magmatch.data.logs.decode import MalformedError, decode
-from magmatch.data.logs.open import open_log
+from magmatch.data.logs.open import opened_log
 from magmatch.data.logs.read import list_topics
-from magmatch.data.tables.text import plain_file
 from magmatch.data.units import STATED_OVER
 from magmatch.geometry import path_walked
 from magmatch.typing import Points, Scalars, Tensors
@@ -39,7 +38,7 @@ def read_drift(path: str | Path, layout: SurveyFormat | None = None) -> tuple[fl
     if topic is None or topic.type != ODOMETRY or topic.encoding == "json":
         return None
     stamps, numbers = array("q"), array("d")
-    with plain_file(path) as place, closing(open_log(place)) as log:
+    with opened_log(path) as log:
         for channel, log_ns, payload in log.messages({topic.name}):
             with suppress(MalformedError):
                 pose = decode(channel, payload).pose

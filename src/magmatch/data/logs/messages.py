@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from magmatch.data.logs.decode import MalformedError, decode, no_json
+from magmatch.data.logs.decode import MalformedError, decode, no_json, number
 from magmatch.data.logs.log import Channel, printable
 from magmatch.data.tables.times import SECOND
 from magmatch.typing import Indices, Matrix
@@ -85,12 +85,13 @@ class Decoder:
             message = decode(channel, payload)
             for entry in message.transforms if channel.type in TREES else [message]:
                 frames, stamp_ns, values = _numbers_of(entry, channel)
-                rows, stamps = self._rows.setdefault(frames, _Rows()), array("q", (self._n, log_ns, stamp_ns))
+                stamps = array("q", (self._n, log_ns, stamp_ns))
+                rows = self._rows.setdefault(frames, _Rows())
                 rows.values.extend(values)
                 rows.stamps.extend(stamps)
         except MalformedError as error:
             self.faults.append((self._n, str(error)))
-        except (ValueError, TypeError, AttributeError, OverflowError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
             self.faults.append((self._n, str(no_json(error))))
         self._n += 1
         if self.thin is not None and self._n % THINNED == 0:
@@ -107,21 +108,21 @@ def _numbers_of(entry: Any, channel: Channel) -> tuple[Frames, int, list[float]]
     for key in PATHS[channel.type]:
         part = getattr(part, key)
     if channel.type in VECTORS:
-        values = [float(v) for v in (part.x, part.y, part.z)]
+        values = [number(v) for v in (part.x, part.y, part.z)]
     else:
         place = part.translation if hasattr(part, "translation") else part.position
         turn = part.rotation if hasattr(part, "rotation") else part.orientation
-        values = [float(v) for v in (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)]
+        values = [number(v) for v in (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)]
     stamp = vars(header.stamp)
-    seconds = int(next(stamp[name] for name in ("sec", "secs") if name in stamp))
-    rest = int(next(stamp[name] for name in ("nanosec", "nsec", "nsecs") if name in stamp))
+    names = ("sec", "secs"), ("nanosec", "nsec", "nsecs")
+    seconds, rest = (int(stamp[next((one for one in some if one in stamp), some[0])]) for some in names)
     if channel.encoding == "ros1":
         seconds %= 1 << 32  # ROS 1 counts seconds without a sign
     child = entry.child_frame_id if channel.type in WITH_CHILD else ""
-    return (_name(header.frame_id), _name(child)), seconds * SECOND + rest, values
+    return (_name(str(header.frame_id)), _name(str(child))), seconds * SECOND + rest, values
 
 
 @lru_cache
-def _name(raw: Any) -> str:
+def _name(raw: str) -> str:
     """Name of a frame, without the slash that tf once put in front."""
-    return printable(str(raw)).lstrip("/")
+    return printable(raw).lstrip("/")

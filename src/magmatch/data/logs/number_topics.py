@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.formats.channels import MAX_CHANNELS, Channels, TimeSeries
-from magmatch.data.logs.decode import ENCODINGS, decode
+from magmatch.data.logs.decode import ENCODINGS, decode, number
 from magmatch.data.logs.log import Log, Topic, printable
 from magmatch.data.tables.times import seconds_of
 
@@ -39,14 +39,14 @@ def read_numbers(log: Log, topics: Sequence[Topic], delay_ns: float) -> Channels
         if channel not in wanted:
             continue
         try:
-            found = [(name, float(number)) for name, number in _named(channel.type, decode(channel, payload))]
+            found = [(name, number(value)) for name, value in _named(channel.type, decode(channel, payload))]
         except (ValueError, TypeError, AttributeError, OverflowError):
             n_bad += 1
             continue
-        for name, number in found:
+        for name, value in found:
             times, values = parts.setdefault(f"{channel.topic} {name}".rstrip(), (array("q"), array("d")))
             times.append(log_ns)
-            values.append(number)
+            values.append(value)
     if n_bad:
         logger.warning("%s: left out %d messages of other channels that are not whole", log.path, n_bad)
     names = sorted(parts)[:MAX_CHANNELS]
@@ -64,15 +64,15 @@ def _joined(times: Sequence[int], numbers: Sequence[float], delay_ns: float) -> 
     return TimeSeries(seconds_of(log_ns[order].tolist()), values[order])
 
 
-def _named(kind: str, message: Any) -> Iterator[tuple[str, float]]:
+def _named(kind: str, message: Any) -> Iterator[tuple[str, Any]]:
     """Numbers of a message, by name."""
     if kind == BATTERY:
-        yield "current", np.nan if message.current is None else message.current
+        yield "current", message.current
     elif kind == JOINTS:
         joints = zip(_few(message.name), _few(message.effort), strict=False)  # either may be left empty
         yield from ((f"effort {printable(str(name))}", effort) for name, effort in joints)
     elif kind in ARRAYS:
-        yield from ((f"[{k}]", number) for k, number in enumerate(_few(message.data)))
+        yield from ((f"[{k}]", element) for k, element in enumerate(_few(message.data)))
     else:
         yield "", message.data
 

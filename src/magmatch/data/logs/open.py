@@ -2,7 +2,7 @@
 """Open a recorder log, whatever its container; the files of a ROS 2 bag's folder are one log."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from magmatch.data.logs.log import Count, Log, Message
-from magmatch.data.tables.text import is_folder, read_bytes
+from magmatch.data.tables.text import is_folder, plain_file, read_bytes
 from magmatch.data.tables.yaml_text import load_yaml, mapping_in
 from magmatch.errors import DataFormatError, MissingExtraError
 
@@ -44,6 +44,14 @@ def open_log(path: str | Path) -> Log:
         if head.startswith(signature):
             return kind(Path(path))
     raise DataFormatError(path, "is no ROS 1 bag, ROS 2 bag or MCAP file, or its first bytes are damaged")
+
+
+@contextmanager
+def opened_log(path: str | Path) -> Iterator[Log]:
+    """A log, packed by gzip or not, open for reading; messages name the file that was given."""
+    with plain_file(path) as place, closing(open_log(place)) as log:
+        log.path = Path(path)
+        yield log
 
 
 class JoinedLog(Log):

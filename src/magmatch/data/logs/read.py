@@ -2,8 +2,7 @@
 """Read a recorder log: choose topics, decode them, settle the clock, find where the sensor sits."""
 
 import logging
-from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +18,8 @@ from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Entries, Frames
 from magmatch.data.logs.mount import find_mount, merged, with_description
 from magmatch.data.logs.number_topics import read_numbers
-from magmatch.data.logs.open import open_log
+from magmatch.data.logs.open import opened_log
 from magmatch.data.logs.streams import TopicStream, in_order, read_streams, settle_clock
-from magmatch.data.tables.text import plain_file
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -46,9 +44,8 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
     ``layout`` names topics, frames and extrinsic where they are not to be chosen; ``with_channels`` also reads topics
     of plain numbers, such as currents. Raises `DataFormatError` where the log is damaged or lacks the topics.
     """
-    with plain_file(path) as place, closing(open_log(place)) as log:
-        recording = _read(log, layout, with_channels=with_channels)
-    return replace(recording, path=Path(path))
+    with opened_log(path) as log:
+        return _read(log, layout, with_channels=with_channels)
 
 
 def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
@@ -135,7 +132,7 @@ def _of_one_frame(path: Path, stream: TopicStream) -> Entries:
 
 def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], dict[str, str | None]]:
     """Topics of a log by name, and those that `read_log` would read as ``field`` and ``poses`` (None: no such)."""
-    with plain_file(path) as place, closing(open_log(place)) as log:
+    with opened_log(path) as log:
         topics = log.topics()
         try:
             field, pose, moving = choose_topics(log.path, topics, layout)
