@@ -25,11 +25,8 @@ N_CHANGED = N_REFINED // RARER
 MOST_STEPS = 10
 COARSE_STEPS = MOST_STEPS // RARER
 FINE_STEPS = COARSE_STEPS // RARER
-# Search by invariants: anchors, base points that each is tried on; distinct poses refined coarsely, as many as
-# anchors, and further, as many as take equally long by more samples each.
-N_ANCHORS, N_NEIGHBOURS = 400, 30
-N_COARSE = N_ANCHORS
-N_FINE = N_COARSE * FEW_POINTS // RANKING_POINTS
+# Search by invariants: anchors, base points that each is tried on, distinct poses refined coarsely and further.
+N_ANCHORS, N_NEIGHBOURS, N_COARSE, N_FINE = 400, 30, 600, 40
 # Search by pairs: pairs in a table, base pairs that each is tried on.
 MAX_PAIRS, N_LIKE_PAIRS = 600_000, 8
 # Votes of many maps: maps asked (a folder ten times larger costs little more).
