@@ -14,7 +14,7 @@ from magmatch.typing import Scalars
 SENSORS_DIFFER = -15.0
 # A walk bends at one of these rates, m per square root of a metre, equally likely: of a tracking system, of wheels,
 # of cameras, and of a phone's dead reckoning.
-RATES = (0.005, 0.02, 0.05, 0.1, 0.2)
+RATES = (0.01, 0.02, 0.05, 0.1, 0.2)
 EACH_RATE = -float(np.log(len(RATES)))
 
 

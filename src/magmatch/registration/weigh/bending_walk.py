@@ -14,6 +14,7 @@ variances at one rate, n the noise of a bin. Each rate is a model of the pose.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular, svd
@@ -21,8 +22,8 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.estimation.candidate_poses import pose_inaccuracy
-from magmatch.estimation.gauss_newton import perturbed, shortened
-from magmatch.estimation.limits import COARSE_STEPS, FINE_STEPS, N_MODES, N_REFINED
+from magmatch.estimation.gauss_newton import is_close, perturbed, shortened
+from magmatch.estimation.limits import MOST_STEPS, N_MODES, N_REFINED
 from magmatch.estimation.model_prior import EACH_RATE, RATES
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
@@ -34,12 +35,10 @@ from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, skew, transform_of
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
-from magmatch.typing import Covariance6, Mask, Matrix, Points, Vector3
+from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Vector3
 
 # Turn that comes with a shift of one metre, rad/m: what dead reckoning loses of both (0.6 deg with 10 cm).
 TURN_PER_SHIFT = 0.1
-# Steps before which the covariance is evaluated again; the last evaluation is one, too.
-RENEWED = (0, FINE_STEPS, COARSE_STEPS)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,6 +49,29 @@ class Bending:
     # (6, 6): covariance of the rigid motion about the path's centre that best follows the drift, rotation first: an
     # error of the frame, which no residual shows
     frame: Covariance6
+
+
+class _Comparison(NamedTuple):
+    """A walk and its base, compared at a pose."""
+
+    R: Matrix  # (3, 3), base from walk
+    p: Vector3  # m, where the walk's centre lies in the base
+    known: Mask  # (n,), bins inside the base
+    chi2: float
+    occam: float  # nats: what else of the pose's probability differs from pose to pose
+    told: Matrix  # (6, 6): information of the residuals
+    prior: Matrix  # (6, 6): information of the pose's prior
+    step: Scalars  # (6,): what Gauss-Newton proposes
+
+    @property
+    def log_probability(self) -> float:
+        """Of the pose, up to a constant, nats."""
+        return self.occam - 0.5 * self.chi2
+
+    @property
+    def information(self) -> Matrix:
+        """What is known of the pose, (6, 6)."""
+        return np.asarray(self.told + self.prior)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,43 +112,61 @@ class BendingWalk:
         return np.asarray(self.walk.positions.mean(axis=0))
 
     def _fit(self, start: RigidTransform, rate: float, errors: np.ndarray) -> LineEvidence | None:
-        """Take Gauss-Newton steps of a pose, given the map's errors there; the walk's shape is integrated out."""
+        """Refine a pose, given the map's errors there; the walk's shape is integrated out.
+
+        A step that makes the pose less probable, as where bins leave the base, is halved.
+        """
         R, p = rotation_matrix(start), start.apply(self._center)
+        best = self._compare(R, p, rate, errors)
+        if best is None:
+            return None
+        xi = best.step
+        for _ in range(MOST_STEPS):
+            R, p = (moved[0] for moved in perturbed(best.R[None], best.p[None], xi[None]))
+            found = self._compare(R, p, rate, errors)
+            is_better = found is not None and found.log_probability > best.log_probability
+            if is_better and found is not None:
+                best = found
+            xi = best.step if is_better else xi / 2
+            if is_close(xi, best.information):
+                break
+        return self._evidence(best, rate)
+
+    def _compare(self, R: Matrix, p: Vector3, rate: float, errors: np.ndarray) -> "_Comparison | None":
+        """Compare the walk with the base at a pose; None where too little of it lies inside."""
+        known, rows, slopes = self._rows(R, p)
+        if known.sum() < MIN_BINS:
+            return None
+        moved = (slopes @ (rate * self.bending.modes[known])).reshape(len(rows), -1)
+        factor = np.linalg.cholesky(self._rigid_covariance(R, errors, known) + moved @ moved.T)
+        white = solve_triangular(factor, rows, lower=True, check_finite=False)
+        r, J = white[:, 0], white[:, 1:]
+        prior, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
         longest = np.repeat(pose_inaccuracy(self.length), 3)
-        factor, seen = np.zeros((0, 0)), np.zeros(0, dtype=np.bool_)
-        for step in range(COARSE_STEPS + 1):
-            known, rows, slopes = self._rows(R, p)
-            if known.sum() < MIN_BINS:
-                return None
-            if step in RENEWED or not np.array_equal(known, seen):
-                moved = (slopes @ (rate * self.bending.modes[known])).reshape(len(rows), -1)
-                factor, seen = np.linalg.cholesky(self._rigid_covariance(R, errors, known) + moved @ moved.T), known
-            white = solve_triangular(factor, rows, lower=True, check_finite=False)
-            r, J = white[:, 0], white[:, 1:]
-            known_before, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
-            told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
-            if step < COARSE_STEPS:
-                xi = shortened(-np.linalg.solve(told + known_before, J.T @ r + slope), longest)
-                R, p = (moved[0] for moved in perturbed(R[None], p[None], xi[None]))
-        n_free, chi2 = 3 * int(known.sum()) - 6, float(r @ r)
-        covariance = np.linalg.inv(told / max(1.0, chi2 / n_free) + known_before)
-        rest = (
-            EACH_RATE
-            + 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1])
-            + float(self.prior.log_densities(known_before[None], np.array([prior_chi2]))[0])
+        told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
+        occam = (
+            float(self.prior.log_densities(prior[None], np.array([prior_chi2]))[0])
             + float(self.config.log_weight(self.walk.length / self.length, known.mean()))
             - float(np.log(np.diag(factor)).sum())
             - self.null.log_likelihood(known)
         )
+        step = shortened(-np.linalg.solve(told + prior, J.T @ r + slope), longest)
+        return _Comparison(R, p, known, float(r @ r), occam, told, prior, step)
+
+    def _evidence(self, found: "_Comparison", rate: float) -> LineEvidence:
+        """Integrate the pose out."""
+        n_free = 3 * int(found.known.sum()) - 6
+        covariance = np.linalg.inv(found.told / max(1.0, found.chi2 / n_free) + found.prior)
+        rest = EACH_RATE + 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1]) + found.occam
         return LineEvidence(
-            T_base_target=transform_of(R, p - R @ self._center),
+            T_base_target=transform_of(found.R, found.p - found.R @ self._center),
             center=self._center,
             covariance=covariance + rate**2 * self.bending.frame,
-            overlap=float(known.mean()),
-            log_evidence=rest - 0.5 * chi2,
-            attainable=rest - 0.5 * min(chi2, n_free),
-            misfit=float(np.sqrt(chi2 / n_free)),
-            is_covered=known,
+            overlap=float(found.known.mean()),
+            log_evidence=rest - 0.5 * found.chi2,
+            attainable=rest - 0.5 * min(found.chi2, n_free),
+            misfit=float(np.sqrt(found.chi2 / n_free)),
+            is_covered=found.known,
             model=f"drifts by {rate} m per root of a metre",
         )
 
