@@ -155,3 +155,9 @@ def test_a_pipe_gets_the_survey_and_no_report_beside_it(logs, run):
     assert outcome.code == 0, outcome.err
     assert outcome.out.startswith("t,x,y,z,bx,by,bz,")
     assert not Path("/dev/stdout.json").exists()
+
+
+@pytest.mark.parametrize("place", ["", ".", "/"])
+def test_a_folder_without_a_name_is_no_name_of_a_survey(place, logs, refused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(words(logs, "--out", place), "is a folder, expected the name of a file to write")

@@ -200,3 +200,11 @@ def test_advice_about_names_in_a_comment_works_for_points(read, text, tmp_path):
         read(path)
     path.write_text(re.sub(r" \[m\]", "", text).replace("# ", ""))
     assert len(read(path)) > 0
+
+
+def test_names_that_are_strange_are_not_taken_for_a_row_under_a_comment(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("# points of the hall\neast,north,up,note\n1,2,3,4\n")
+    with pytest.raises(DataFormatError, match="found east, north, up, note") as caught:
+        read_points(path, SurveyFormat())
+    assert "#" not in str(caught.value)

@@ -105,3 +105,13 @@ HEADERS = {
 def test_other_columns_are_refused_with_advice(names, rows, tmp_path):
     with pytest.raises(DataFormatError, match=HEADERS[names]):
         read_survey(write(tmp_path / "s.csv", rows, names), UT)
+
+
+def test_a_quoted_cell_of_any_length_is_a_cell(rows, tmp_path):
+    note = f'"{"x" * 200_000}"'  # more than Python's own reader of CSV takes
+    plain = read_survey(write(tmp_path / "s.csv", rows), UT)
+    path = write(tmp_path / "n.csv", rows, "t,x,y,z,bx,by,bz,note", change=lambda _, cells: [*cells, note])
+    np.testing.assert_array_equal(read_survey(path, UT).field, plain.field)
+    path.write_text(path.read_text().replace(note, "", 1).replace("\n", f"\n{note},", 1))
+    with pytest.raises(DataFormatError, match="line 2"):
+        read_survey(path, UT)

@@ -70,7 +70,7 @@ def prepare(
     from magmatch.preparation.choose_magnetometer import prepare_either
     from magmatch.preparation.config import PreparationConfig
 
-    if report is None and out.parent != Path("/dev"):  # a pipe has no folder for the report
+    if report is None and out.name and out.parent != Path("/dev"):  # a pipe has no folder for the report
         report = out.with_suffix(".json")
     layout = layouts.of()
     check_outputs((out, report), inputs=(log, config, sensor_from, layout.trajectory))

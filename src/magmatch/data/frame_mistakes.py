@@ -323,8 +323,16 @@ def _grams(one: Turned, near: tuple[Indices, Indices]) -> tuple[tuple[_Gram, _Gr
     turns = np.tile(np.eye(3), (n, 1, 1)) if one.turned_by is None else one.turned_by.as_matrix()
     field = (turns[:, :, :, None] * one.readings[:, None, None, :]).reshape(n, 3, 9)
     both = np.concatenate([np.tile(np.eye(3), (n, 1)), columns.reshape(-1, 3)], axis=1)
-    constant, kept = np.linalg.lstsq(both, field.reshape(-1, 9), rcond=DISTINCT)[0][:3], columns.mean(axis=0)
+    constant, kept = _fitted(both, field.reshape(-1, 9))[:3], columns.mean(axis=0)
     centred = field - field.mean(axis=0)
-    iron = np.linalg.lstsq((columns - kept).reshape(-1, 3), centred.reshape(-1, 9), rcond=DISTINCT)[0]
+    iron = _fitted((columns - kept).reshape(-1, 3), centred.reshape(-1, 9))
     free = field - columns @ iron
     return (_Gram.of(field, near), _Gram.of(free, near)), constant - kept @ (kept.T @ constant)
+
+
+def _fitted(A: Matrix, b: Matrix) -> Matrix:
+    """Least squares of the directions that are distinct, by the normal equations.
+
+    Their singular values are squares; rounding is far below DISTINCT squared.
+    """
+    return np.asarray(np.linalg.lstsq(A.T @ A, A.T @ b, rcond=DISTINCT**2)[0])

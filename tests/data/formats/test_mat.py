@@ -195,3 +195,12 @@ def test_a_file_without_arrays_is_said_to_hold_none(tmp_path):
     h5py.File(tmp_path / "empty.h5", "w").close()
     with pytest.raises(DataFormatError, match="the file holds none"):
         read_survey(tmp_path / "empty.h5")
+
+
+def test_what_no_column_is_asked_of_is_not_read(tmp_path):
+    """It may be large, or damaged."""
+    path = v5(tmp_path / "walk.mat", PLAIN | {"images": RNG.normal(size=(300, 300))}, do_compression=True)
+    raw = bytearray(path.read_bytes())
+    raw[-200_000:-1000] = bytes(199_000)
+    path.write_bytes(raw)
+    np.testing.assert_array_equal(read_mat(path, SurveyFormat()).stack("bx", "by", "bz"), FIELD)

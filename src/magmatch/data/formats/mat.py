@@ -102,10 +102,7 @@ def _opened(path: Path, *, is_v5: bool) -> Iterator[Mapping[str, Any]]:
     """Content of a file: mappings of names to arrays, other mappings, and what is neither."""
     try:
         if is_v5:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # such as of a name that is there twice
-                variables = scipy.io.loadmat(path, appendmat=False)
-            yield {name: _plain(value) for name, value in variables.items() if not name.startswith("__")}
+            yield _Variables(path)
         else:
             h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
             with h5py.File(path, "r") as file:
@@ -115,6 +112,29 @@ def _opened(path: Path, *, is_v5: bool) -> Iterator[Mapping[str, Any]]:
     except Exception as error:  # libraries raise whatever they stumble over
         words = " ".join(str(error).split())[:150]
         raise DataFormatError(path, f"is a damaged MATLAB file ({words})") from None
+
+
+class _Variables(Mapping[str, Any]):
+    """Variables of a file of version 5, each read when it is asked for: others may be large, or damaged."""
+
+    def __init__(self, path: Path) -> None:
+        names = [name for name, *_ in scipy.io.whosmat(path, appendmat=False)]
+        self._path, self._names = path, dict.fromkeys(name for name in names if not name.startswith("__"))
+        self._read: dict[str, Any] = {}
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._read:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # such as of a name that is there twice
+                found = scipy.io.loadmat(self._path, variable_names=[name], appendmat=False)
+            self._read[name] = _plain(found.get(name))
+        return self._read[name]
 
 
 def _plain(value: Any) -> Any:
@@ -134,7 +154,13 @@ def _found(path: Path, content: Mapping[str, Any], wanted: set[str]) -> dict[str
         place: Any = content
         for part in name.split("."):
             key = next((key for key in place if key.lower() == part), None) if isinstance(place, Mapping) else None
-            place = None if key is None else place[key] if isinstance(place, dict) else _linked(path, place, key)
+            place = (
+                None
+                if key is None
+                else place[key]
+                if isinstance(place, dict | _Variables)
+                else _linked(path, place, key)
+            )
         if isinstance(place, np.ndarray):
             found[name] = place
     return found

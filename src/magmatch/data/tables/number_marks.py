@@ -37,6 +37,8 @@ def plain_text(cell: str) -> str:
 
 def python_text(cell: str, decimal: Decimal = "point") -> str:
     """A number as Python writes it, where the cell holds one; `ValueError` where its decimal mark is another."""
+    if decimal == "point" and _is_float(cell):  # most are plain
+        return cell.strip()
     text = plain_text(cell)
     if found := _PATTERNS[decimal].fullmatch(text):
         return text.replace(found["group"] or " ", "").replace(_MARKS[decimal], ".")

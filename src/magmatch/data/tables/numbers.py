@@ -97,15 +97,20 @@ class NumberReader:
 
     def _values(self, line: int, cells: Sequence[str]) -> list[float]:
         """Wanted numbers of a row; most are plain, and those Python reads at once."""
+        texts = [cells[k] for k in self.places.values()]
+        if self.decimal == "comma":
+            texts = ["" if "." in text else text.replace(",", ".") for text in texts]
         try:
-            values = [float(cells[k]) for k in self.places.values()]
+            values = [float(text) for text in texts]
         except ValueError:
             values = [np.nan]
-        if self.decimal != "point" or not isfinite(sum(values)):
+        if not isfinite(sum(values)):
             return [self._value(line, name, cells[k]) for name, k in self.places.items()]
+        if self.decimal == "comma" and not self._has_commas:
+            self._has_commas = any("," in cells[k] for k in self.places.values())
         for k, name in enumerate(self.places if self.digits else ()):
             if self.digits.get(name):
-                values[k] = seconds_of_text(cells[self.places[name]], self.digits[name])
+                values[k] = seconds_of_text(cells[self.places[name]], self.digits[name], self.decimal)
         return values
 
     def _value(self, line: int, name: str, cell: str) -> float:

@@ -15,7 +15,15 @@ from magmatch.atomic import atomic_write
 from magmatch.data.tables.number_marks import Decimal, decimal_of_cells
 from magmatch.data.tables.numbers import RECOVER, NumberReader
 from magmatch.data.tables.text import text_lines
-from magmatch.data.tables.text_rows import Rows, advice_on_comments, listed, names_of, numbered_names, rows_of
+from magmatch.data.tables.text_rows import (
+    Rows,
+    advice_on_comments,
+    is_sample,
+    listed,
+    names_of,
+    numbered_names,
+    rows_of,
+)
 from magmatch.errors import DataFormatError
 from magmatch.number_text import exact, many, told
 from magmatch.typing import Indices, Matrix, Scalars
@@ -115,7 +123,8 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
     places = {name: k for k, name in enumerate(names) if name in chosen}
     if not places:
         message = f"expected columns such as {listed(tuple(wanted.known))}; found {listed(names)}"
-        message += advice_on_comments(rows.comments, len(names))
+        if any(map(is_sample, names)):
+            message += advice_on_comments(rows.comments, len(names))
         advice = wanted.advise(names)
         raise DataFormatError(path, f"{message}. {advice}" if advice else message)
     marked = ((line, [cells[k] for k in places.values() if k < len(cells)]) for line, cells in rows.cells())

@@ -4,6 +4,7 @@
 import csv
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,8 +73,9 @@ def rows_of(path: str | Path, lines: Sequence[str]) -> Rows:
 
 def split_row(text: str, delimiter: str | None) -> list[str]:
     """Cells of one line."""
-    if delimiter is not None and '"' in text:
-        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
+    if delimiter is not None and delimiter != '"' and '"' in text:
+        with suppress(csv.Error):  # a cell longer than any number or name
+            return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True))
     return text.split(delimiter)
 
 

@@ -53,6 +53,8 @@ def seconds_of_text(cell: str, digits: int, decimal: Decimal = "point") -> float
     >>> seconds_of_text("1700000000123456789", 9), seconds_of_text("1.5e3", 3)
     (1700000000.1234567, 1.5)
     """
+    if cell.isdecimal():
+        return int(cell) / int(10**digits)  # which Python rounds once
     mantissa, _, exponent = python_text(cell, decimal).lower().partition("e")
     return float(f"{mantissa}e{int(exponent or 0) - digits}")
 

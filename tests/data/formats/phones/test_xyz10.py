@@ -50,10 +50,11 @@ def log(tmp_path):
     return path
 
 
-def test_each_sensor_is_read_in_our_units_whether_packed_or_with_other_line_ends(tmp_path, log):
+def test_each_sensor_is_read_in_our_units_whether_packed_quoted_or_with_other_line_ends(tmp_path, log):
     (tmp_path / "packed").write_bytes(gzip.compress(text().encode()))
     (tmp_path / "dos.txt").write_bytes(text().replace("\n", "\r\n").encode())
-    for path in (log, tmp_path / "packed", tmp_path / "dos.txt"):
+    (tmp_path / "quoted.txt").write_text(text().replace(f"{FIELD[3, 0]}", f'"{FIELD[3, 0]}"'))
+    for path in (log, tmp_path / "packed", tmp_path / "dos.txt", tmp_path / "quoted.txt"):
         assert sniff(path) == "phone"
         read = read_phone_log(path)
         assert read.app == "XYZ10"

@@ -11,6 +11,7 @@ from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, str
 from magmatch.data.formats.phones.tagged_rows import lines_of, read_tagged
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.number_marks import decimal_of_cells
+from magmatch.data.tables.text_rows import split_row
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix
 
@@ -76,7 +77,7 @@ def _tagged(lines: Sequence[str], tags: Collection[str], n: int) -> Iterator[tup
     for i, line in enumerate(lines, start=1):
         tag, _, rest = line.partition(";")
         if tag in tags:
-            yield i, tag, rest.split(";")[:n]
+            yield i, tag, split_row(rest, ";")[:n]
 
 
 def _require_order(path: Path, lines: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from magmatch.data.formats.phones.phone_log import PER_UNIT, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import Row, lines_of, read_tagged
 from magmatch.data.surveyed_points import SurveyedPoints
+from magmatch.data.tables.text_rows import split_row
 from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.typing import Indices, Matrix
 
@@ -64,6 +65,6 @@ def _tagged(lines: Sequence[str], tags: Collection[str], n: int) -> Iterator[Row
             continue
         for row in _JOINED.split(line) if line.count("\tTYPE_") > 1 else (line,):
             time, _, rest = row.partition("\t")
-            tag, *cells = rest.split("\t")
+            tag, *cells = split_row(rest, "\t")
             if tag in tags:
                 yield i, tag, [time, *cells[:n]]
