@@ -4,6 +4,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from dipoles import dipoles
 from magmatch.data.survey import Survey
 from magmatch.runner import Runner
 from magmatch.slam.loop_search import LoopSearch
@@ -22,10 +23,7 @@ class Place:
         self.moments = rng.normal(0, 1.5, (n, 3))  # uT m^3
 
     def field(self, x):
-        r = x[:, None] - self.centers
-        d = np.linalg.norm(r, axis=2)[..., None]
-        u = (r * self.moments).sum(axis=2, keepdims=True)
-        return 1e-6 * (3 * u * r / d**5 - self.moments / d**3).sum(axis=1) + EARTH
+        return dipoles(x, self.centers, 1e-6 * self.moments) + EARTH
 
 
 def loop(s):

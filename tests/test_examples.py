@@ -3,12 +3,14 @@
 
 import re
 import runpy
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import magmatch as mm
+from magmatch.simulation.config import SimulationConfig
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,15 +22,33 @@ EXAMPLES = [
 ]
 
 
+def run(example, monkeypatch, *words):
+    monkeypatch.setattr("sys.argv", [str(example), *map(str, words)])
+    runpy.run_path(str(example), run_name="__main__")
+
+
 # ros2_node.py needs ROS; tests/localization/test_ros2_node.py runs what of it does not.
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_runs_and_says_something(example, capsys, monkeypatch, tmp_path):
+    """On fewer samples than it has as it stands."""
     if "gtsam" in example.stem:
         pytest.importorskip("gtsam")
     # Where figures are saved.
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", [str(example)])
-    runpy.run_path(str(example), run_name="__main__")
+    words = []
+    if example.stem == "01_build_map":
+        words = ["few.csv"]
+        mm.read_survey(ROOT / "src/magmatch/data/samples/office/base.csv").subset(range(250)).save("few.csv")
+    if example.stem == "05_localize":
+        monkeypatch.setattr(mm, "simulate", partial(mm.simulate, config=SimulationConfig(n_samples=1200)))
+    run(example, monkeypatch, *words)
+    assert capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["01_build_map", "05_localize"])
+def test_as_it_stands_an_example_runs_too(name, capsys, monkeypatch):
+    run(ROOT / "examples" / f"{name}.py", monkeypatch)
     assert capsys.readouterr().out
 
 

@@ -28,6 +28,6 @@ def three():
     """Two logs of one place, each in a frame of its own, and one of another place."""
     a, p_a = drifting_walk(Place(1), 1, name="a.csv")
     b, p_b = drifting_walk(Place(1), 2, laps=1.2, start=2.0, name="b.csv")
-    stranger, p_c = drifting_walk(Place(9), 3, laps=1.2, name="c.csv")
+    stranger, p_c = drifting_walk(Place(9), 3, laps=0.8, name="c.csv")
     logs = [a, b, stranger]
     return SimpleNamespace(logs=logs, truth=[p_a, p_b, p_c], session=slam(logs))

@@ -20,7 +20,6 @@ from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
 from magmatch.store import save
 
-
 T_ROOM_WALK = random_transform(np.random.default_rng(1))
 
 
