@@ -28,7 +28,7 @@ POINTS = PRESETS["default"].model_copy(update={"search": "invariants"})
 @pytest.fixture(scope="module")
 def pair():
     pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
-    return simulate("office-hand-held", 41, SimulationConfig(n_samples=700, room_size=(2.0, 2.0, 0.6)))
+    return simulate("office-hand-held", 41, SimulationConfig(n_samples=1000, room_size=(2.0, 2.0, 0.6)))
 
 
 @pytest.fixture(scope="module")
