@@ -6,12 +6,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from dipoles import dipoles
 from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
 from magmatch.runner import Runner
 from magmatch.slam.loop_search import LoopSearch
 
 EARTH = np.array([20e-6, 0.0, -45e-6])
 # Half sides of the loop that is walked, m.
 HALF = np.array([4.0, 2.5])
+# With which a map of a walk there is made at once.
+GIVEN = FieldConfig(prior="spline", lengthscale=1.0, signal_sd=8e-6, noise_sd=5e-7, spacing=0.5)
 
 
 class Place:

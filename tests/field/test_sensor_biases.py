@@ -143,7 +143,7 @@ def test_a_map_without_biases_to_solve_is_the_same_to_the_bit(change):
         surveys = surveys[:1]
     if change == "bare":
         surveys = [replace(survey, orientations=None) for survey in surveys]
-    config = FieldConfig(sensor_bias_sd=0.0 if change == "told" else None)
+    config = FieldConfig(prior="spline", sensor_bias_sd=0.0 if change == "told" else None)
     field_map = build_map(surveys, config)
     assert field_map.biases is None
     merged = surveys[0].merged(*surveys[1:])
