@@ -72,7 +72,7 @@ def mutate(raw, rng):
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--fuzz", type=int, default=15, metavar="N", help="inputs per reader of tests/data/logs/test_fuzz.py"
+        "--fuzz", type=int, default=10, metavar="N", help="inputs per reader of tests/data/logs/test_fuzz.py"
     )
     parser.addoption("--kills", type=int, default=20, metavar="N", help="kills in tests/hardening/test_kills.py")
     parser.addoption("--corruptions", type=int, default=50, metavar="N", help="of each file in tests/hardening")

@@ -4,13 +4,17 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from dipoles import dipoles
 from magmatch.data.survey import Survey
+from magmatch.field.config import FieldConfig
 from magmatch.runner import Runner
 from magmatch.slam.loop_search import LoopSearch
 
 EARTH = np.array([20e-6, 0.0, -45e-6])
 # Half sides of the loop that is walked, m.
 HALF = np.array([4.0, 2.5])
+# With which a map of a walk there is made at once.
+GIVEN = FieldConfig(prior="spline", lengthscale=1.0, signal_sd=8e-6, noise_sd=5e-7, spacing=0.5)
 
 
 class Place:
@@ -22,10 +26,7 @@ class Place:
         self.moments = rng.normal(0, 1.5, (n, 3))  # uT m^3
 
     def field(self, x):
-        r = x[:, None] - self.centers
-        d = np.linalg.norm(r, axis=2)[..., None]
-        u = (r * self.moments).sum(axis=2, keepdims=True)
-        return 1e-6 * (3 * u * r / d**5 - self.moments / d**3).sum(axis=1) + EARTH
+        return dipoles(x, self.centers, 1e-6 * self.moments) + EARTH
 
 
 def loop(s):

@@ -98,6 +98,7 @@ def test_what_cannot_be_known_is_refused_with_a_reason(scenario):
     assert len(result.reason) > 20
 
 
+@pytest.mark.slow
 def test_a_smooth_room_does_not_pass_for_another_with_a_biased_sensor():
     # Once accepted: a wrong pose that a free bias helps to match all that is smooth, at 5 times the maps' spread.
     pair = mm.simulate("nowhere", 211)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import magmatch as mm
+from magmatch.field.config import SPLINE
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,15 +21,35 @@ EXAMPLES = [
 ]
 
 
+def run(example, monkeypatch, *words):
+    monkeypatch.setattr("sys.argv", [str(example), *map(str, words)])
+    runpy.run_path(str(example), run_name="__main__")
+
+
 # ros2_node.py needs ROS; tests/localization/test_ros2_node.py runs what of it does not.
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_runs_and_says_something(example, capsys, monkeypatch, tmp_path):
+    """On fewer samples than it has as it stands, or with splines where it compares all priors."""
     if "gtsam" in example.stem:
         pytest.importorskip("gtsam")
     # Where figures are saved.
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", [str(example)])
-    runpy.run_path(str(example), run_name="__main__")
+    words, build = [], mm.build_map
+    if example.stem == "01_build_map":
+        words = ["few.csv"]
+        mm.read_survey(ROOT / "src/magmatch/data/samples/office/base.csv").subset(range(150)).save("few.csv")
+    else:
+        monkeypatch.setattr(mm, "build_map", lambda survey, config=SPLINE, **more: build(survey, config, **more))
+    run(example, monkeypatch, *words)
+    assert capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["01_build_map", "05_localize", "07_gtsam_factor"])
+def test_as_it_stands_an_example_runs_too(name, capsys, monkeypatch):
+    if "gtsam" in name:
+        pytest.importorskip("gtsam")
+    run(ROOT / "examples" / f"{name}.py", monkeypatch)
     assert capsys.readouterr().out
 
 
@@ -44,7 +65,7 @@ def field_map():
     rng = np.random.default_rng(2)
     p = rng.uniform(-1, 1, (250, 3))
     b = np.array([20e-6, 0, -40e-6]) + 5e-6 * np.column_stack([np.sin(3 * p[:, 1]), np.cos(2 * p[:, 0]), p[:, 2]])
-    return mm.build_map(mm.Survey(p, b))
+    return mm.build_map(mm.Survey(p, b), SPLINE)
 
 
 def test_the_field_factor_has_the_jacobian_of_its_error(factor, field_map):

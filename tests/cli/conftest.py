@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from drifting import GIVEN
 from magmatch.cli.main import main
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate, write_pair
+from magmatch.slam.session import Session
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,12 @@ def refused(run: Run) -> Callable[..., str]:
         return outcome.err
 
     return call
+
+
+@pytest.fixture
+def numbers_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map of a session is made at once: its numbers are given, not chosen."""
+    monkeypatch.setitem(Session.map.__globals__, "SPLINE", GIVEN)
 
 
 @pytest.fixture(scope="session")

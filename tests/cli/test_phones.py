@@ -18,6 +18,7 @@ from magmatch.errors import DataFormatError
 from magmatch.preparation.odometry.open_walk import open_walk
 from magmatch.slam.session import Session
 
+pytestmark = pytest.mark.usefixtures("numbers_are_given")
 G, RATE = 9.81, 50.0
 
 

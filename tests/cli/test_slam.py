@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import magmatch as mm
-from drifting import Place, drifting_walk, trajectory_error
+from drifting import GIVEN, Place, drifting_walk, trajectory_error
 from magmatch.cli.main import main
 from magmatch.slam.result import SlamResult
 
 pytest.importorskip("plotly", reason="the report is drawn with the extra 'viz'")
+# All but the folder that is made once.
+pytestmark = pytest.mark.usefixtures("numbers_are_given")
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +38,7 @@ def corrected(logs):
 
 def test_a_log_is_corrected_and_the_folder_holds_all_of_it(logs, corrected):
     names = {path.name for path in corrected.iterdir()}
+    assert mm.FieldMap.load(corrected / "map.map").hyperparameters.lengthscale not in (None, GIVEN.lengthscale)
     files = "walk.tum walk.csv map.map graph.g2o covariances.csv report.html result.json session.state"
     assert names == set(files.split())
     truth = np.load(logs / "truth.npy")

@@ -72,7 +72,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=5)
 @given(seed=st.integers(0, 10**6), wild=st.floats(0.0, 6e-6))
 def test_each_mistake_is_told_by_its_kind_and_remedy(name, seed, wild):
     mistake, kind, words = MISTAKES[name]
@@ -81,7 +81,7 @@ def test_each_mistake_is_told_by_its_kind_and_remedy(name, seed, wild):
     assert re.search(words, str(found))
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 10**6), wild=st.floats(0.0, 8e-6), turn=st.floats(-3.1, 3.1))
 def test_a_survey_as_it_should_be_is_told_of_nothing_wherever_it_lies(seed, wild, turn):
     survey = walk(seed, wild)
@@ -101,13 +101,13 @@ def with_hard_iron(survey, microtesla, direction):
 DIRECTIONS = st.tuples(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5))
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 10**6), microtesla=st.floats(0, 100), direction=DIRECTIONS)
 def test_hard_iron_is_no_wrong_frame(seed, microtesla, direction):
     assert [one.kind for one in diagnose(with_hard_iron(walk(seed), microtesla, direction)) if one.is_of_frames] == []
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=12)
 @given(seed=st.integers(0, 10**6), microtesla=st.floats(0, 30), direction=DIRECTIONS)
 def test_hard_iron_hides_no_forgotten_frame(seed, microtesla, direction):
     wrong = MISTAKES["readings in the sensor's axes"][0](with_hard_iron(walk(seed), microtesla, direction))

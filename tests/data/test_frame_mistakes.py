@@ -14,9 +14,11 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.frame_mistakes import AXES, OWN, named
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
+from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.prepare import prepare
 from magmatch.registration.advice import diagnosis
 
+QUICK = PreparationConfig.model_validate({"disturbances": {"spikes": "off", "moving_metal": "off"}})
 # The 48 ways, by the permutation: of both handednesses.
 WAYS = {
     order: [np.eye(3)[list(order)] * np.array(signs)[:, None] for signs in product([1.0, -1.0], repeat=3)]
@@ -73,7 +75,7 @@ def test_each_permutation_of_a_hand_held_sensors_axes_is_told_with_its_signs(ord
 @pytest.mark.parametrize("order", WAYS)
 def test_of_a_robot_that_yaws_the_ways_that_are_not_told_apart_are_all_named_or_nothing_is(order):
     survey = log("robot")
-    for axes in WAYS[order]:
+    for axes in WAYS[order][:4]:  # the others reverse all, which no motion tells
         for told in map(str, diagnose(with_axes(survey, axes))):
             assert "rename" not in told
             assert "invert" not in told
@@ -156,7 +158,7 @@ def test_following_the_advice_makes_the_vectors_right(tmp_path):
 
 def test_prepare_says_of_axes_that_are_wrong_what_the_diagnosis_says_and_corrects_nothing():
     wrong = with_axes(log("hand"), AXES["y, x, -z"])
-    left, report = prepare(wrong)
+    left, report = prepare(wrong, QUICK)
     assert left is wrong
     words = {step.step: step.words for step in report.steps}
     assert all("another frame" in words[name] for name in ("time offset", "hard iron", "soft iron", "misalignment"))

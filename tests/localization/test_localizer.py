@@ -91,10 +91,6 @@ def test_with_nothing_known_of_the_odometrys_frame_the_walk_is_found_too(place, 
     assert np.median(up[:, 2]) > 0.99
 
 
-def test_the_same_log_gives_the_same_bits(place, followed):
-    assert states(mm.localize(place, followed.log, live=True).estimates) == states(followed.track.estimates)
-
-
 def rows_of(log):
     """Samples as a stream has them."""
     R = log.orientations

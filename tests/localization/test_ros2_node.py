@@ -73,7 +73,7 @@ def walked(node, kinds, place):
 @pytest.fixture(scope="module")
 def mapped(node, kinds, tmp_path_factory):
     """The same of a walk of several laps that nothing was known of before, and the node's source after it."""
-    log, truth = drifting_walk(Place(1), 2, laps=2.6, start=2.0, bias=(2e-6, -1e-6, 1e-6))
+    log, truth = drifting_walk(Place(1), 2, laps=4.0, start=2.0, bias=(2e-6, -1e-6, 1e-6))
     source = node.Mapping(tmp_path_factory.mktemp("made") / "hall.map")
     return follow(node.Follower(source, kinds), kinds, log), log, truth, source
 

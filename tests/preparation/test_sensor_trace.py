@@ -41,7 +41,7 @@ def test_offset_along_an_axis_that_never_turns_is_not_shown(robot):
 
 def test_without_orientations_nothing_is_told(hand_held):
     raw = replace(hand_held[1], orientations=None)
-    assert offset_evidence(raw, choose_spline_hyperparameters(raw.positions, raw.field)) == -np.inf
+    assert offset_evidence(raw, Hyperparameters(0.5, 1e-5, 1e-6, 0.25)) == -np.inf
 
 
 def test_maps_that_would_take_too_long_are_not_asked(hand_held):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from dipoles import dipoles
 from magmatch.data.survey import Survey
 from magmatch.features.config import FeatureConfig
 from magmatch.features.infer import grid_spacing
@@ -33,14 +34,7 @@ def room(seed, n=40):
     p = rng.uniform([-1, -1, -1], [4, 4, 1.6], (40 * n, 3))
     p = p[np.linalg.norm(p - np.clip(p, 0, [3, 3, 0.6]), axis=1) > 0.35][:n]
     m = 3e-6 * rng.normal(size=(n, 3))
-
-    def field(x):
-        r = x[:, None] - p
-        d = np.linalg.norm(r, axis=2)[..., None]
-        total = (3 * (r * m).sum(axis=2, keepdims=True) * r / d**5 - m / d**3).sum(axis=1)
-        return total + np.array([18e-6, 3e-6, -45e-6])
-
-    return field
+    return lambda x: dipoles(x, p, m) + np.array([18e-6, 3e-6, -45e-6])
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from dipoles import dipoles
 from magmatch.data.survey import Survey
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
@@ -24,10 +25,7 @@ class Dipoles:
     moments: np.ndarray  # uT m^3
 
     def field(self, x):
-        r = x[:, None] - self.positions
-        d = np.linalg.norm(r, axis=2)[..., None]
-        u = (r * self.moments).sum(axis=2, keepdims=True)
-        return 1e-6 * (3 * u * r / d**5 - self.moments / d**3).sum(axis=1) + EARTH
+        return dipoles(x, self.positions, 1e-6 * self.moments) + EARTH
 
     def gradient(self, x, step=1e-4):
         shifts = step * np.eye(3)

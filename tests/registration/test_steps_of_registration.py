@@ -44,7 +44,7 @@ def test_a_walk_is_compared_with_every_sample_that_was_given():
 def test_the_likelier_of_two_looks_at_one_map_counts():
     # A line that crosses itself is looked at as a map and, where that is refused, as a walk.
     made, config = simulate("corridor", 0, SimulationConfig(n_samples=300)), RegistrationConfig()
-    base = build_map(made.base, SPLINE)
+    base = prepare_index(build_map(made.base, SPLINE), config)
     both, walk = (
         register_once(base, made.target, made.target, config.model_copy(update={"search": search}), 0, Clock())[2]
         for search in ("auto", "pairs")

@@ -5,8 +5,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from drifting import Place, drifting_walk
+from drifting import GIVEN, Place, drifting_walk
 from magmatch.slam.run import slam
+from magmatch.slam.session import Session
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _numbers_are_given():
+    """Maps of sessions are made at once; that their numbers are chosen, the tests of the command show."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(Session.map.__globals__, "SPLINE", GIVEN)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -28,6 +37,6 @@ def three():
     """Two logs of one place, each in a frame of its own, and one of another place."""
     a, p_a = drifting_walk(Place(1), 1, name="a.csv")
     b, p_b = drifting_walk(Place(1), 2, laps=1.2, start=2.0, name="b.csv")
-    stranger, p_c = drifting_walk(Place(9), 3, laps=1.2, name="c.csv")
+    stranger, p_c = drifting_walk(Place(9), 3, laps=0.8, name="c.csv")
     logs = [a, b, stranger]
     return SimpleNamespace(logs=logs, truth=[p_a, p_b, p_c], session=slam(logs))

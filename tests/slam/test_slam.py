@@ -105,7 +105,7 @@ def test_a_gap_in_a_log_is_walked_over():
 
 
 def test_a_log_of_one_window_does_not_know_its_end():
-    log, _ = drifting_walk(Place(1), 1)
+    log, _ = drifting_walk(Place(1), 1, laps=0.5)
     session = slam(log, SlamConfig(window_length=100.0))
     assert len(session.graph.p) == 1
     (stated,) = session.result().logs

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from dipoles import dipoles
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE
@@ -27,10 +28,7 @@ class Pair:
 
 
 def field_of_a_magnet(p):
-    r = p - np.array([1.0, 1.0, -1.0])
-    d = np.linalg.norm(r, axis=1, keepdims=True)
-    m = np.array([0.0, 40.0, 100.0])
-    return 1e-7 * (3 * r * (r @ m)[:, None] / d**5 - m / d**3) + np.array([2e-5, 0, -4e-5])
+    return dipoles(p, [[1.0, 1.0, -1.0]], [[0.0, 4e-6, 1e-5]]) + np.array([2e-5, 0, -4e-5])
 
 
 @pytest.fixture(scope="session")

@@ -283,7 +283,3 @@ def test_with_a_token_nothing_is_told_without_it(hall, tmp_path):
         assert token not in service.words()
         # Who is refused writes nothing into its log.
         assert "handshake" not in service.words()
-
-
-def test_there_are_at_least_60_kinds():
-    assert len(REQUESTS) + len(HELLOS) + len(FRAMES) >= 60

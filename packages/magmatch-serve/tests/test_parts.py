@@ -110,15 +110,6 @@ def test_a_kept_state_is_the_last_one_and_sweeping_leaves_what_is_not_ours(tmp_p
         assert (folder.stat().st_mode & 0o777) == 0o700
 
 
-def test_two_services_do_not_share_states(tmp_path):
-    with (
-        checkpoints.held(tmp_path / "states"),
-        pytest.raises(ConfigurationError, match="another service"),
-        checkpoints.held(tmp_path / "states"),
-    ):
-        pass
-
-
 def test_states_are_written_in_turn_each_as_often_as_it_shall_be(hall, tmp_path, monkeypatch):
     clock, clients = FakeClock(), [f"{k:024x}" for k in range(4)]
     monkeypatch.setattr("magmatch_serve.bodies.tracker.monotonic", clock)

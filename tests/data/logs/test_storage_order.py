@@ -35,8 +35,15 @@ def stored(made, monkeypatch):
     return store
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("container", CONTAINERS)
+@pytest.mark.parametrize(
+    ("container", "order"),
+    [
+        (c, o)
+        for c in CONTAINERS
+        for o in ORDERS
+        if c == CONTAINERS[-1] or o in ("the second half first", "none at all")
+    ],
+)
 def test_the_order_of_storage_changes_nothing_and_is_no_news(
     container, order, made, flight, stored, tmp_path, caplog
 ):

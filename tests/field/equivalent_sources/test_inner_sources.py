@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
+from dipoles import dipoles
 from magmatch.field.domain import Box
 from magmatch.field.equivalent_sources.inner_sources import find_inner_sources, hole_charges
 from magmatch.field.equivalent_sources.magnets import find_magnets
@@ -25,11 +26,7 @@ def field_at(points, strength):
     rng = np.random.default_rng(0)
     sources = [(rng.uniform([0, 0, -0.6], [1.6, 1.2, -0.5]), 1e-6 * rng.normal(size=3)) for _ in range(8)]
     sources += [(BOX / 2 + [s, 0, 0], strength * 1e-6 * np.array([1.0, s, 0.5])) for s in (-0.08, 0.08)]
-    field = np.array([18e-6, 2e-6, -44e-6]) + np.zeros_like(points)
-    for at, moment in sources:
-        r, d = points - at, np.linalg.norm(points - at, axis=1)[:, None]
-        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
-    return field
+    return np.array([18e-6, 2e-6, -44e-6]) + dipoles(points, *zip(*sources, strict=True))
 
 
 def around_hole(n, seed):
@@ -86,14 +83,6 @@ def test_along_a_path_and_in_a_plane_there_are_no_holes():
 def over_a_floor():
     x, y = np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 0.8, 0.1))
     return np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=1)
-
-
-def dipoles(points, magnets, moments):
-    field = np.zeros_like(points)
-    for at, moment in zip(magnets, moments, strict=True):
-        r, d = points - at, np.linalg.norm(points - at, axis=1)[:, None]
-        field += 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
-    return field
 
 
 @pytest.mark.parametrize("seed", [2, 7])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from dipoles import dipoles
 from magmatch.field.domain import Box
 from magmatch.field.equivalent_sources.shell import charge_design, charge_field, lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
@@ -17,19 +18,12 @@ BOX = np.array([2.0, 1.5, 0.8])
 H = Hyperparameters(lengthscale=0.5, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.35)
 
 
-def dipole_at(points, source, moment):
-    r = points - source
-    d = np.linalg.norm(r, axis=1)[:, None]
-    return 3 * r * (r @ moment)[:, None] / d**5 - moment / d**3
-
-
 def field_at(points, seed=0, inside=False):
     """Earth's field and twelve dipoles 0.5 m below a box, one more in its middle if asked for."""
     rng = np.random.default_rng(seed)
-    field = EARTH + np.zeros_like(points)
-    for _ in range(12):
-        field = field + 1e-6 * dipole_at(points, rng.uniform([0, 0, -0.7], [2, 1.5, -0.5]), rng.normal(size=3))
-    return field + (1e-6 * dipole_at(points, BOX / 2, np.array([1.0, 1.0, 0.5])) if inside else 0.0)
+    sources = [(rng.uniform([0, 0, -0.7], [2, 1.5, -0.5]), rng.normal(size=3)) for _ in range(12)]
+    places, moments = zip(*sources, *[(BOX / 2, np.array([1.0, 1.0, 0.5]))] * inside, strict=True)
+    return EARTH + dipoles(points, places, 1e-6 * np.array(moments))
 
 
 def room(n=600, inside=False, noise_sd=0.5e-6):
@@ -127,11 +121,10 @@ def test_the_field_above_a_plane_is_found():
     assert np.sqrt((error**2).sum(axis=1).mean()) < 0.03 * np.sqrt(field_at(above).var(axis=0).sum())
 
 
-def test_numbers_are_deterministic_and_follow_the_units():
+def test_numbers_follow_the_units():
     points, field = room(300)
     prior = HarmonicPrior()
-    h, again = (calibrated(prior, points, field, prior.choose_hyperparameters(points, field)) for _ in range(2))
-    assert h == again
+    h = calibrated(prior, points, field, prior.choose_hyperparameters(points, field))
     points, field = points * 10, field * 1e3
     scaled = calibrated(prior, points, field, prior.choose_hyperparameters(points, field))
     np.testing.assert_allclose(

@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from dipoles import dipoles
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map, map_samples
 from magmatch.field.config import FieldConfig
@@ -19,13 +20,7 @@ SOURCES = np.array([[0.5, 0.4, -0.6], [1.6, 1.2, -0.7], [0.2, 1.9, 1.4]])
 
 
 def field_at(x):
-    out = np.tile([18.0, 3.0, -45.0], (len(x), 1)) * UT
-    for k, p in enumerate(SOURCES):
-        r = x - p
-        d = np.linalg.norm(r, axis=1, keepdims=True)
-        m = 4 * UT * np.eye(3)[k]
-        out += 3 * (r @ m)[:, None] * r / d**5 - m / d**3
-    return out
+    return UT * np.array([18.0, 3.0, -45.0]) + dipoles(x, SOURCES, 4 * UT * np.eye(3))
 
 
 def room(n=1200, seed=0):

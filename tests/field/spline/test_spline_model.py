@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dipoles import dipoles
 from magmatch.errors import ConfigurationError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
@@ -21,11 +22,7 @@ def dipole_field(x, seed=0, n=30):
     """Exact field (T) of dipoles below and beside the box 0..2 x 0..2 x 0..0.5 m."""
     rng = np.random.default_rng(seed)
     source = np.c_[rng.uniform(-0.5, 2.5, (n, 2)), rng.uniform(-1.2, -0.5, n)]
-    moment = 1e-6 * rng.normal(size=(n, 3))
-    r = x[:, None] - source
-    d = np.linalg.norm(r, axis=2, keepdims=True)
-    along = (r * moment).sum(axis=2, keepdims=True)
-    return EARTH + (3 * along * r / d**5 - moment / d**3).sum(axis=1)
+    return EARTH + dipoles(x, source, 1e-6 * rng.normal(size=(n, 3)))
 
 
 def room(n=600, seed=0, noise=3e-7):

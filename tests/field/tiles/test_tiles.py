@@ -145,11 +145,9 @@ def test_curl_vanishes_where_one_tile_answers_and_is_bounded_where_two_blend(fit
     assert np.all(curl <= 2 * steepest * differences.max(axis=1) + 1e-15)
 
 
-@settings(deadline=None, max_examples=2)
-@given(seed=st.integers(0, 1000))
-def test_samples_left_out_are_as_if_never_seen_in_any_order(fitted, seed):
+def test_samples_left_out_are_as_if_never_seen_in_any_order(fitted):
     model, _, x, b = fitted
-    order = np.random.default_rng(seed).permutation(len(x))
+    order = np.random.default_rng(0).permutation(len(x))
     first, second, kept = np.array_split(order, 3)
     rest = model.observe(x[order], b[order]) - model.observe(x[second], b[second]) - model.observe(x[first], b[first])
     expected = model.infer(model.observe(x[kept], b[kept])).evaluate(x).field
@@ -236,10 +234,11 @@ def test_factors_that_stay_and_factors_made_again_give_the_same_bits(fitted, mon
     few_bytes = 4.5 * max(posterior.factored(k).factors.full.n_bytes for k in range(len(model.tiles)))
     monkeypatch.setattr("magmatch.field.tiles.region_model.FACTORED_BYTES", few_bytes)
     elsewhere = model.fit(x, b, {}, lambda fit, tasks: [fit(task) for task in tasks])
-    frugal, q = model.infer(model.observe(x, b)), inside(40)
+    frugal, q = model.infer(model.observe(x, b)), inside(15)
+    covariance, influence = posterior.covariance(q), posterior.influence(q)
     for other in (elsewhere, frugal):
-        assert np.array_equal(other.covariance(q), posterior.covariance(q))
-        assert np.array_equal(other.influence(q), posterior.influence(q))
+        assert np.array_equal(other.covariance(q), covariance)
+        assert np.array_equal(other.influence(q), influence)
         draws = [p.draw_weights(2, np.random.default_rng(3)) for p in (posterior, other)]
         assert np.array_equal(*(p.evaluate(q, 0, d[1]).field for p, d in zip((posterior, other), draws, strict=True)))
 

