@@ -14,7 +14,8 @@ from magmatch.field.config import SPLINE
 ROOT = Path(__file__).parents[1]
 
 
-SLOW = ("04_slam",)
+# What the second shows, `tests/published/test_register.py` does in less time.
+SLOW = ("04_slam", "06_own_descriptor")
 EXAMPLES = [
     pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in SLOW))
     for path in sorted((ROOT / "examples").glob("0*.py"))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.simulation.paths import around_loop, circles, heading_along, resample, smooth_noise
+from magmatch.simulation.paths import around_loop, circles, heading_along, loop_length, resample, smooth_noise
 
 SETTINGS = settings(deadline=None, max_examples=25)
 
@@ -42,6 +42,13 @@ def test_loop_stays_on_the_rectangle():
     points, _ = around_loop((20.0, 10.0), 1.0, np.linspace(0, 60, 2000))
     np.testing.assert_allclose(points.min(axis=0), [0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(points.max(axis=0), [20, 10, 0], atol=1e-6)
+
+
+def test_a_round_ends_where_it_began_however_its_sides_are_rounded():
+    for radius in np.random.default_rng(0).uniform(0.2, 3, 300):
+        end = np.nextafter(loop_length((20.0, 10.0), radius), 0)
+        points, _ = around_loop((20.0, 10.0), radius, np.array([end]))
+        np.testing.assert_allclose(points, [[radius, 0, 0]], atol=1e-9)
 
 
 def test_smooth_noise_has_its_deviation_and_no_steps(rng):

@@ -85,6 +85,7 @@ def test_what_takes_too_much_memory_is_a_memory_error():
     assert len(bytes(200 << 20)) == 200 << 20
 
 
+@pytest.mark.slow
 def test_after_bombs_the_service_answers_as_before(hall, tmp_path):
     mcap_bomb(tmp_path / "bomb")
     log = tmp_path / "log.csv"

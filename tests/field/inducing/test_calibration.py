@@ -18,6 +18,8 @@ from magmatch.field.priors.harmonic import HarmonicPrior
 BOX, NOISE = np.array([1.6, 1.2, 0.8]), 0.5e-6
 H = Hyperparameters(lengthscale=0.4, signal_sd=12e-6, noise_sd=2 * NOISE, spacing=0.2)
 PRIOR = HarmonicPrior(max_sources=500)
+# The kernels of the last two are of one kind.
+QUICK_AND_SLOW = ["harmonic", "curl_free", pytest.param("divergence_free", marks=pytest.mark.slow)]
 # Small magnets that samples come so near to that they leave no hole.
 MAGNETS, NEAREST = np.array([[0.4, 0.4, 0.4], [1.1, 0.8, 0.3], [1.2, 0.3, 0.5]]), 0.06
 
@@ -54,7 +56,7 @@ def test_intervals_hold_where_magnets_among_the_samples_break_the_promise_of_the
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("name", ["harmonic", "curl_free", "divergence_free"])
+@pytest.mark.parametrize("name", QUICK_AND_SLOW)
 def test_what_is_only_noise_widens_nothing(name, seed):
     points, field = survey(0.0, seed=seed)
     model = PRIORS[name].build(points, field, H)
@@ -63,7 +65,7 @@ def test_what_is_only_noise_widens_nothing(name, seed):
     assert misfit_inflation(*twice, model.infer(model.observe(*twice))) == 1.0
 
 
-@pytest.mark.parametrize("name", ["divergence_free", "curl_free", "harmonic"])
+@pytest.mark.parametrize("name", QUICK_AND_SLOW)
 def test_a_model_that_is_too_sure_is_widened_until_it_covers_what_was_left_out(name):
     points, field = survey(0.0, n=300)
     folds, prior = divide(points, 0.5), PRIORS[name]

@@ -32,6 +32,16 @@ def test_a_plane_is_thin_however_it_lies(tilt):
     assert reach == pytest.approx([0.6 * 5 + 0.5, 0.3 * 5 + 0.5])
 
 
+def test_where_not_all_of_the_extrapolation_can_be_afforded_a_part_is(monkeypatch):
+    plane = box(500, 0.02)
+    layout = SplineLayout.over(plane)
+    for most, expected in ((3.6, 3.5), (3.4, 0.8 * 3.5), (2.7, 0.65 * 3.5), (2.0, H.reach)):
+        monkeypatch.setattr(
+            "magmatch.field.selection.spline_layout.is_affordable", lambda _, h, __, most=most: h.reach <= most
+        )
+        assert layout.extrapolating(plane, H).reach == pytest.approx(expected, rel=0.01)
+
+
 def test_spacing_that_would_take_too_long_is_widened_with_a_word(caplog, monkeypatch):
     monkeypatch.setattr("magmatch.field.selection.spline_layout.MOST_OPERATIONS", (5e8, 1e5))
     x = np.random.default_rng(0).uniform(0, 30, (500, 3)) * [1, 1, 0.01]
