@@ -280,6 +280,15 @@ def test_fixed_points_that_are_given_again_count_once(lone):
     assert len(session.places.anchors) == 1
 
 
+def test_fixed_points_of_a_log_whose_field_tells_nothing_stay_when_another_is_added(lone):
+    log = lone.log.subset(slice(80))
+    constant = replace(log, field=np.tile([2e-5, 0.0, -4.5e-5], (len(log), 1)), name="constant")
+    session, point = mm.Session(), Anchor("constant", float(log.times[30]), np.zeros(3), 0.1)
+    session.add_logs([constant], [point])
+    session.add_logs([replace(constant.subset(slice(40)), name="second")], [point])
+    assert len(session.places.anchors) == 1
+
+
 @pytest.mark.parametrize("sd", [(-1, 2), (np.nan, 2), (0.1, np.inf)])
 def test_drift_that_cannot_be_is_refused(sd):
     with pytest.raises(ValueError, match=r"odometry\.sd"):

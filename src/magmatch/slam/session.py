@@ -141,7 +141,7 @@ class Session:
             config = settled(given, config)
         with followed(progress), Runner(run, keep, KINDS) as runner:
             if earlier is None or earlier.maker is None:
-                places = correct(given, config, fixed, runner, clock)
+                places = correct(given, config, [*(earlier.anchors if earlier else ()), *fixed], runner, clock)
             else:
                 places = correct_more(earlier, logs, fixed, runner, clock)
         places.stated = places.stated.model_copy(update={"origin": origin})
