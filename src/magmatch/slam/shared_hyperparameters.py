@@ -15,7 +15,7 @@ from magmatch.field.config import SPLINE
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
-from magmatch.geometry import path_moved, path_walked
+from magmatch.geometry import ROUNDING, path_moved, path_walked
 from magmatch.registration.prepared.prepared_map import correlation_length_of
 
 # Parts looked at, their length in lengthscales and most samples of each.
@@ -115,7 +115,7 @@ def as_rough_as_here(h: Hyperparameters, everywhere: float, piece: Survey, lengt
     measured nothing is made.
     """
     here = squared_gradient([piece], length)
-    if min(here, everywhere) <= 0:
+    if min(here, everywhere) <= ROUNDING * max(here, everywhere):
         return h
     return replace(h, prior_scale=h.prior_scale * float(np.sqrt(here / everywhere)))
 
