@@ -154,13 +154,10 @@ def _found(path: Path, content: Mapping[str, Any], wanted: set[str]) -> dict[str
         place: Any = content
         for part in name.split("."):
             key = next((key for key in place if key.lower() == part), None) if isinstance(place, Mapping) else None
-            place = (
-                None
-                if key is None
-                else place[key]
-                if isinstance(place, dict | _Variables)
-                else _linked(path, place, key)
-            )
+            if key is None:
+                place = None
+            else:
+                place = place[key] if isinstance(place, dict | _Variables) else _linked(path, place, key)
         if isinstance(place, np.ndarray):
             found[name] = place
     return found
