@@ -12,6 +12,7 @@ from magmatch.estimation.pose_prior import PosePrior
 from magmatch.geometry import perturbation, random_transform, rotate_vectors, transform_error, transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import prepare
+from magmatch.registration.refine import changes
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.weigh.cells import agreeing_cells, compare_cells, null_models_of
@@ -221,3 +222,18 @@ def test_too_few_samples_that_agree_give_no_pose(moved, ordinary):
     base, target, _, _ = moved
     nothing = np.zeros(len(target.samples), dtype=bool)
     assert refine_beside_changes(base, target, ordinary, nothing, FLAT, CONFIG, np.random.default_rng(0)) is None
+
+
+def test_where_nothing_tells_of_the_pose_none_is_stated(moved, ordinary, monkeypatch):
+    base, target, _, _ = moved
+    look_up = changes._look_up
+
+    def as_out_of_the_base(*given):
+        found = look_up(*given)
+        return replace(
+            found, gradient=0 * found.gradient, target_side=0 * found.target_side, base_side=0 * found.base_side
+        )
+
+    monkeypatch.setattr(changes, "_look_up", as_out_of_the_base)
+    agrees = np.ones(len(target.samples), dtype=bool)
+    assert refine_beside_changes(base, target, ordinary, agrees, FLAT, CONFIG, np.random.default_rng(0)) is None

@@ -97,10 +97,24 @@ def refine_beside_changes(
     config: ChangeConfig,
     rng: np.random.Generator,
 ) -> ChangedPose | None:
-    """Refine a pose together with a sparse field of moved sources, by Gauss-Newton."""
+    """Refine a pose together with a sparse field of moved sources, by Gauss-Newton; None where nothing tells it."""
     samples = _choose_samples(base, target, pose.T_base_target, agrees, config, rng)
     if samples is None:
         return None
+    try:
+        return _refine(base, target, pose, samples, prior, config)
+    except np.linalg.LinAlgError:  # steps led to where nothing tells of the pose, as out of the base
+        return None
+
+
+def _refine(
+    base: PreparedMap,
+    target: PreparedMap,
+    pose: RefinedPose,
+    samples: _Samples,
+    prior: PosePrior,
+    config: ChangeConfig,
+) -> ChangedPose:
     longest = np.repeat(pose_inaccuracy(common_length(base, target)), 3)
     gram = samples.charges.T @ (samples.weight[:, None] * samples.charges)
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
