@@ -65,7 +65,7 @@ class _Comparison(NamedTuple):
 
     @property
     def log_probability(self) -> float:
-        """Of the pose, up to a constant, nats."""
+        """The pose's log probability up to a constant, nats."""
         return self.occam - 0.5 * self.chi2
 
     @property
@@ -124,10 +124,10 @@ class BendingWalk:
         for _ in range(MOST_STEPS):
             R, p = (moved[0] for moved in perturbed(best.R[None], best.p[None], xi[None]))
             found = self._compare(R, p, rate, errors)
-            is_better = found is not None and found.log_probability > best.log_probability
-            if is_better and found is not None:
-                best = found
-            xi = best.step if is_better else xi / 2
+            if found is not None and found.log_probability > best.log_probability:
+                best, xi = found, found.step
+            else:
+                xi = xi / 2
             if is_close(xi, best.information):
                 break
         return self._evidence(best, rate)
