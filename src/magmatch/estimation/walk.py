@@ -106,8 +106,11 @@ def is_line(survey: Survey, length: float) -> bool:
 
 def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
     """Choose the search for a target: pairs of points if it is a short line, a frame at every point otherwise."""
-    if not is_line(target, length):
-        return "invariants"
-    rows = bin_along_path(np.ascontiguousarray(target.positions), 2 * BIN_LENGTH * length)
     # A long line crosses itself and fills areas: that is breadth of another kind.
-    return "pairs" if rows[-1] < MAX_WEIGHED else "invariants"
+    return "pairs" if is_line(target, length) and is_short(target, length) else "invariants"
+
+
+def is_short(survey: Survey, length: float) -> bool:
+    """Whether a survey's path can be weighed as it is, at twice the resolution that a correlation length (m) asks."""
+    rows = bin_along_path(np.ascontiguousarray(survey.positions), 2 * BIN_LENGTH * length)
+    return bool(rows[-1] < MAX_WEIGHED)
