@@ -8,9 +8,8 @@ where it is used.
 # Points or samples that stand for a survey: at most, for ranking a few poses, and for judging thousands. Where there
 # are too many, the distance between them grows by a factor until there are not.
 MOST_POINTS, RANKING_POINTS, FEW_POINTS, COARSER = 4000, 600, 60, 1.2
-# Bins, or cells of a map, that are weighed together: the cost is cubic in it. Modes of a bending path: of a random
-# walk, the variance of the k-th falls with its square.
-MAX_WEIGHED, N_MODES = 150, 40
+# Bins, or cells of a map, that are weighed together: the cost is cubic in it.
+MAX_WEIGHED = 150
 # Posterior samples that give the spread of what is derived from a map; most poses drawn from a prior, and factor on
 # the neighbours tried if a prior rules most of them out.
 N_DRAWS, MOST_DRAWN, MORE_NEIGHBOURS = 8, 6000, 4

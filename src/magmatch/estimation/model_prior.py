@@ -5,6 +5,8 @@ All free numbers of a model are integrated out, so a freer model pays for them b
 is for errors that the likelihood does not know: it takes the errors of maps as independent from cell to cell.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from magmatch.typing import Scalars
@@ -15,7 +17,20 @@ SENSORS_DIFFER = -15.0
 # A walk bends at one of these rates, m per square root of a metre, equally likely: of a tracking system, of wheels,
 # of cameras, and of a phone's dead reckoning.
 RATES = (0.01, 0.02, 0.05, 0.1, 0.2)
-EACH_RATE = -float(np.log(len(RATES)))
+
+
+class Turns(NamedTuple):
+    """How a walk's orientations drift beside its positions."""
+
+    name: str
+    per_shift: float  # rad for each metre of shift
+    carry_positions: bool  # whether they turn all that follows
+
+
+# Dead reckoning turns what follows, by 0.3 deg with 20 cm. Where positions come from elsewhere (surveyed points,
+# cameras of a room), orientations err by themselves: while a person walks, by a degree and more.
+TURNS = (Turns("as dead reckoning", 0.03, carry_positions=True), Turns("positions apart", 0.3, carry_positions=False))
+EACH_DRIFT = -float(np.log(len(RATES) * len(TURNS)))
 
 
 def overlap_weight(share: Scalars | float) -> Scalars:

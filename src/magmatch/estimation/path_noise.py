@@ -77,7 +77,7 @@ class PathNoise:
         """Standard deviation of one component between two walks through one place, without drift, T."""
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))
 
-    def factor(self, chi2: Scalars, n_free: Scalars) -> tuple[Scalars, Scalars]:
+    def factor(self, chi2: Scalars | float, n_free: Scalars | float) -> tuple[Scalars, Scalars]:
         """Factor on the covariance that explains each walk best, given how walks differ; and log likelihoods.
 
         These are, in nats, ``-chi2 / 2 k - n/2 ln k``, averaged over the factor k, whose logarithm is normal with the

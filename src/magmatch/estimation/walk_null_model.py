@@ -35,6 +35,8 @@ class UnrelatedWalk:
     # (vector, float): mean of the field wherever the walk may be (T), walk's axes, and variance of a component about
     # it (T^2): where the heading is known, Earth's field speaks for no place. Without it, any mean is as likely.
     around: tuple[Vector3, float] | None = None
+    # (k, n, 3, n, 3), T^2: covariances by how the walk's orientations may drift, each as likely
+    turned: np.ndarray | None = None
     # Log likelihoods of the bins that were asked for
     _found: dict[bytes, float] = dataclasses.field(default_factory=dict, init=False, repr=False)
 
@@ -49,8 +51,13 @@ class UnrelatedWalk:
         return self._found[asked]
 
     def _averaged(self, rows: Indices) -> float:
-        """Average over lengthscales and strengths, those of calm places too; few bins tell which."""
-        some = even_choice(len(rows), FEW_POINTS)
+        """Average over lengthscales and strengths, those of calm places too, and over how orientations drift."""
+        found = [self._most_likely(rows, turned) for turned in (None, self.turned)[: 1 + (self.turned is not None)]]
+        return float(np.logaddexp.reduce(found) - np.log(len(found)))
+
+    def _most_likely(self, rows: Indices, turned: np.ndarray | None) -> float:
+        """Give the same with orientations that are true, or that drift; few values tell what is most likely."""
+        some = even_choice(len(rows), FEW_POINTS if turned is None else FEW_POINTS // 3)
         field = self.walk.field[rows]
         spread2 = float(field.var(axis=0).mean()) + self.noise.nugget_sd**2
         square = float((field**2).sum(axis=1).mean()) / 3
@@ -58,13 +65,19 @@ class UnrelatedWalk:
         distance = self.distance[np.ix_(rows, rows)]
         errors = self.noise.isotropic(distance, np.zeros(len(rows))) + constant
         errors += 2 * square * self.noise.attitude_sd**2 * np.exp(-distance / self.noise.drift_length)
-        tried = np.array([(f * self.length, s**2 * spread2) for f, s in product(LENGTHSCALES, STRENGTHS)])
+        scales = product(LENGTHSCALES, STRENGTHS, range(1 if turned is None else len(turned)))
+        tried = np.array([(f * self.length, s**2 * spread2, k) for f, s, k in scales])
 
         def log_likelihoods(at: Indices, tried: Matrix) -> Scalars:
-            square_of = np.ix_(at, at)
-            length, variance = tried.T[:, :, None, None]
-            K = rational_quadratic(distance[square_of] ** 2, length, variance) + errors[square_of]
-            return _log_likelihoods(field[at] - mean, K, self.noise)
+            length, variance, _ = tried.T[:, :, None, None]
+            K = rational_quadratic(distance[np.ix_(at, at)] ** 2, length, variance) + errors[np.ix_(at, at)]
+            values = field[at] - mean
+            if turned is not None:
+                C = turned[:, rows[at]][:, :, :, rows[at]][tried[:, 2].astype(np.int64)]
+                for i in range(3):
+                    C[:, :, i, :, i] += K
+                K, values = C.reshape(len(C), values.size, values.size), values.reshape(-1, 1)
+            return _log_likelihoods(values, K, self.noise)
 
         found = log_likelihoods(some, tried)
         most_likely = tried[[int(found.argmax())]]
@@ -73,9 +86,9 @@ class UnrelatedWalk:
 
 
 def _log_likelihoods(values: Vectors, K: np.ndarray, noise: PathNoise) -> Scalars:
-    """Give the log-likelihoods of values (n, 3) under each of several covariances (t, n, n)."""
+    """Give the log-likelihoods of values (n, c) under each of several covariances (t, n, n) of each column."""
     L = np.linalg.cholesky(K)
     z = whiten(L, np.broadcast_to(values, (len(L), *values.shape)))
-    half_log_det = 3 * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+    half_log_det = values.shape[1] * np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
     log_likelihood = noise.factor((z**2).sum(axis=(1, 2)), np.full(len(L), values.size))[1]
     return np.asarray(log_likelihood - half_log_det)

@@ -11,12 +11,14 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from hand_made import prepared_map, seen_from, some_field, turn_about
+from magmatch.estimation.model_prior import TURNS
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.estimation.walk_null_model import LENGTHSCALES, STRENGTHS, UnrelatedWalk
 from magmatch.geometry import random_transform
 from magmatch.registration.weigh import refine_and_weigh_walk
+from magmatch.registration.weigh.bending import bending_of
 from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, weigh_walk
 
 LENGTH, SD = 0.8, 0.1e-6
@@ -253,6 +255,27 @@ def test_a_rough_walk_is_no_evidence_for_a_place_where_nothing_varies(times):
         null = UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
         # That both fields agree in the mean is evidence, of some nats a component.
         assert posed - null < 25
+
+
+def test_a_walk_that_turns_by_itself_is_no_evidence_for_a_place_where_nothing_varies():
+    """What its orientations do to the field, they do in any place."""
+    t, earth = np.linspace(0, 12, 60)[:, None], np.array([18e-6, 3e-6, -45e-6])
+    x, rate = t * [1.0, 0, 0], 0.1
+    d, turned = cdist(x, x), rate**2 * bending_of(x, TURNS[1]).turned(np.tile(earth, (60, 1)))
+    C = turned.reshape(180, 180) + NOISE.nugget_sd**2 * np.eye(180)
+    L, noise = np.linalg.cholesky(C), replace(NOISE, misfit_sd=0.0, constant_sd=0.0, attitude_sd=0.0)
+    without, with_turns = [], []
+    for seed in range(5):
+        z = np.random.default_rng(seed).standard_normal(180)
+        walk = Walk(HERE, x, earth + (L @ z).reshape(60, 3))
+        null = UnrelatedWalk(walk, d, noise, LENGTH)
+        posed = noise.factor(z @ z, 180)[1] - np.log(np.diag(L)).sum()
+        everywhere = np.ones(60, dtype=bool)
+        without.append(posed - null.log_likelihood(everywhere))
+        with_turns.append(posed - replace(null, turned=turned[None]).log_likelihood(everywhere))
+    assert min(without) > 40
+    # That both fields agree in the mean is evidence.
+    assert max(with_turns) < 25
 
 
 @pytest.mark.parametrize("around", [None, (np.array([18e-6, 3e-6, -45e-6]), 1e-11)])
