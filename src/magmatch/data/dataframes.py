@@ -12,14 +12,14 @@ from magmatch.arguments import column_of, expect_kind, found, require_finite
 from magmatch.data.survey_columns import COLUMNS, FRAME_COLUMN, GLOBAL_COLUMNS, choose_columns, warn_of_unused_times
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.times import seconds_of_column, seconds_of_dates
-from magmatch.data.units import UNITS_PER_SECOND, TimeUnit, size_of_unit
+from magmatch.data.units import SINCE_1970, UNITS_PER_SECOND, TimeUnit, size_of_unit
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
 # Whole numbers of an index below this may count rows, which no table in memory has more of; stamps are larger.
-NO_ROW_NUMBER = 1_000_000_000
+NO_ROW_NUMBER = SINCE_1970[0]
 
 
 def table_of_frame(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:

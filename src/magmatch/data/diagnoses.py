@@ -29,7 +29,7 @@ from magmatch.data.frame_mistakes import (
 )
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
-from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
+from magmatch.data.units import ORDINARY_FIELD, RESOLVED, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
 from magmatch.errors import in_short
 from magmatch.geometry import path_walked
 from magmatch.typing import Scalars, Vector3, Vectors
@@ -47,7 +47,6 @@ MIN_STEPS = 10
 # Ways of the axes that are listed where the motion does not tell which it is; more help nobody.
 MOST_WAYS = 4
 
-CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 # Deg; indoors steel bends a place's mean field by some tens of them.
 PLAUSIBLE_BEND = 35.0
 
@@ -96,8 +95,8 @@ def constant_field(survey: Survey) -> str:
     """Say that the field varies nowhere, in the survey's or in the sensor's axes; nothing if it does."""
     read = survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
     for field, where in ((survey.field, ""), (read, " in the sensor's axes")):
-        if float(field.std(axis=0).max()) < CONSTANT_FIELD:
-            least = field_text(CONSTANT_FIELD)
+        if float(field.std(axis=0).max()) < RESOLVED:
+            least = field_text(RESOLVED)
             return f"the field is constant{where} (varies less than {least}): nothing tells places apart"
     return ""
 
