@@ -7,28 +7,20 @@ from typing import Any
 import numpy as np
 
 from magmatch.arguments import expect_kind
+from magmatch.data.dataframes import SINCE_1970
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.order import has_order
-from magmatch.data.sensor_axes import doubt_axes, find_repeats, sensor_readings
+from magmatch.data.sensor_axes import FEW, RESOLVED, doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import GLOBAL_FRAME
-from magmatch.data.units import (
-    RESOLVED,
-    SINCE_1970,
-    TESLA_PER_UNIT,
-    UNITS_PER_SECOND,
-    LengthUnit,
-    TimeUnit,
-    field_text,
-    likely_field_unit,
-)
+from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError
 from magmatch.number_text import many, told
 from magmatch.typing import Indices, Scalars
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
-MIN_SAMPLES = 10
+MIN_SAMPLES = FEW
 # The Earth's field is 22 to 67 uT; shielded rooms reach some nT, a table over strong magnets some mT. A median
 # outside these bounds is a unit, not a field.
 MEDIAN_FIELD = (RESOLVED, 20e-3)

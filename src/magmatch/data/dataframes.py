@@ -12,14 +12,15 @@ from magmatch.arguments import column_of, expect_kind, found, require_finite
 from magmatch.data.survey_columns import COLUMNS, FRAME_COLUMN, GLOBAL_COLUMNS, choose_columns, warn_of_unused_times
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.times import seconds_of_column, seconds_of_dates
-from magmatch.data.units import SINCE_1970, UNITS_PER_SECOND, TimeUnit, size_of_unit
+from magmatch.data.units import UNITS_PER_SECOND, TimeUnit, size_of_unit
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
-# Whole numbers of an index below this may count rows, which no table in memory has more of; stamps are larger.
-NO_ROW_NUMBER = SINCE_1970[0]
+# s since 1970, of the years 1998 to 2112. Smaller whole numbers may count rows, which no table in memory has as many
+# of.
+SINCE_1970 = (9e8, 4.5e9)
 
 
 def table_of_frame(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
@@ -60,7 +61,7 @@ def _times_of_index(df: Any, name: str) -> Any:
         kind = getattr(level.dtype, "kind", "")
         if kind == "M" and level.is_monotonic_increasing and level.is_unique and not level.hasnans:
             return level
-        if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= NO_ROW_NUMBER):
+        if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= SINCE_1970[0]):
             called = "without a name" if level.name is None else f"'{level.name}'"
             words = "%s: has no column t, and its index %s is left out; if it holds the times, name it t"
             logger.warning(words, name, called)

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.units import CLOCKS_APART, ORDINARY_FIELD, RESOLVED
+from magmatch.data.sensor_axes import RESOLVED
+from magmatch.data.units import CLOCKS_APART, ORDINARY_FIELD
 from magmatch.geometry import GENERATORS, LINEAR_TURN, unit_vectors
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 

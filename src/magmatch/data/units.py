@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Units that files come in; everything inside the package is tesla and metre."""
+"""Units that files come in, and orders of magnitude; everything inside the package is tesla and metre."""
 
 from collections.abc import Mapping
 from math import log, log10
@@ -21,14 +21,12 @@ DIGITS_OF_SECOND: dict[TimeUnit, int] = {unit: round(log10(n)) for unit, n in UN
 # or so, hence the wider window in which a median magnitude is ordinary.
 EARTH_FIELD = 48e-6
 ORDINARY_FIELD = (10e-6, 200e-6)
-# T: fields that differ by less are equal; of any magnetometer it is rounding.
-RESOLVED = TESLA_PER_UNIT["nT"]
 # s: the clocks of one device differ by no more, start and stop together by as much, and stamp no more out of order.
 CLOCKS_APART = 1.0
-# Stamps in s since 1970, of the years 1998 to 2112.
-SINCE_1970 = (9e8, 4.5e9)
 # No time, position or field in any unit comes near it; its square is still a number.
 DAMAGED = 1e12
+# Bytes.
+MEBI = 1 << 20
 # Path over which standard deviations of odometry are stated, m.
 STATED_OVER = 10.0
 

@@ -7,8 +7,8 @@ from concurrent.futures import Future
 
 import numpy as np
 
+from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
-from magmatch.data.units import RESOLVED
 from magmatch.errors import DataFormatError
 from magmatch.localization.belief import BIN_LENGTH, Belief
 from magmatch.localization.bins import Bin

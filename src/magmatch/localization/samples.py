@@ -17,12 +17,10 @@ from magmatch.typing import POSE, VECTOR, Matrix, Vector3
 MOST_STEP = 5.0
 # The last sample: time (-inf before the first), the body in an odometry's frame without jumps, field in its axes;
 # where the odometry had it and how its frame lies in that without jumps; and the next, until it is checked.
-SAMPLE = np.dtype(
-    [
-        ("t", "f8"), ("T", POSE), ("z", VECTOR), ("p_given", VECTOR), ("T_odom_given", POSE),
-        ("next_t", "f8"), ("next_T", POSE), ("next_z", VECTOR),
-    ]
-)  # fmt: skip
+SAMPLE = np.dtype([
+    ("t", "f8"), ("T", POSE), ("z", VECTOR), ("p_given", VECTOR), ("T_odom_given", POSE), ("next_t", "f8"),
+    ("next_T", POSE), ("next_z", VECTOR),
+])  # fmt: skip
 FINE, BAD_TIME, BAD_POSE, BAD_FIELD, LARGE_FIELD, BACKWARD, JUMP = range(7)
 
 

@@ -24,13 +24,10 @@ ERROR_SLOPE, SCALE, N = MISFIT_SLOPE + 3, MISFIT_SLOPE + 6, MISFIT_SLOPE + 7
 # One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the
 # search for it cost, and that bins gained that are no longer kept. Drift: of the variances that the odometry's random
 # walk is stated with, the factor under which this hypothesis follows it.
-HYPOTHESIS = np.dtype(
-    [
-        ("R", ROTATION), ("p", VECTOR), ("b", VECTOR), ("c", VECTOR), ("e", VECTOR),
-        ("c_slope", VECTOR), ("e_slope", VECTOR), ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)),
-        ("earlier", "f8"), ("drift", "f8"),
-    ]
-)  # fmt: skip
+HYPOTHESIS = np.dtype([
+    ("R", ROTATION), ("p", VECTOR), ("b", VECTOR), ("c", VECTOR), ("e", VECTOR), ("c_slope", VECTOR),
+    ("e_slope", VECTOR), ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)), ("earlier", "f8"), ("drift", "f8"),
+])  # fmt: skip
 # A bin that misses by more (chi^2 of 3, one in 10,000) counts as if its covariance were so much larger.
 GATE = 21.0
 # Rate of the Matern-3/2 process whose correlation falls to a half where a squared exponential's of length 1 does.

@@ -14,12 +14,10 @@ from magmatch.localization.state import BIAS, Model, predict
 from magmatch.typing import COVARIANCE, POSE, VECTOR, Covariance6, Matrix, Scalars, Vector3
 
 # The statement of a hypothesis: the fields of a `PoseEstimate`; T is T_map_body.
-STATED = np.dtype(
-    [
-        ("T", POSE), ("covariance", COVARIANCE), ("bias", VECTOR), ("bias_sd", VECTOR),
-        ("scale", "f8"), ("gain", "f8"), ("drift", "f8"),
-    ]
-)  # fmt: skip
+STATED = np.dtype([
+    ("T", POSE), ("covariance", COVARIANCE), ("bias", VECTOR), ("bias_sd", VECTOR), ("scale", "f8"), ("gain", "f8"),
+    ("drift", "f8"),
+])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from magmatch.data.checks import extent
+from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
-from magmatch.data.units import RESOLVED
 from magmatch.field.sensor_biases import without_bias
 from magmatch.preparation.odometry.drift import lie_level
 from magmatch.progress import tell
