@@ -18,6 +18,8 @@ ORTHONORMAL_TOLERANCE = 1e-9
 # m: farther from their origin, coordinates lose digits that show. Up to here single precision, in which pictures are
 # drawn, keeps 0.1 mm, and a covariance about the origin keeps half the digits of one about the samples.
 FAR = 1e3
+# rad: equations of a turn that is larger are not linear; no step to a best pose takes more.
+LINEAR_TURN = 0.3
 # Steps that are looked at together; of every eighth of their samples jitter leaves an eighth of its path, steps at
 # random a third, and a path all of it.
 STOOD, EIGHTH, STANDS = 128, 8, 0.2
@@ -176,6 +178,10 @@ def skew(v: Points) -> Tensors:
     S = np.zeros((*v.shape, 3))
     S[..., 0, 1], S[..., 0, 2], S[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     return S - np.swapaxes(S, -1, -2)
+
+
+# Turns about x, y and z, per rad.
+GENERATORS = skew(np.eye(3))
 
 
 def exp_se3(xi: np.ndarray) -> RigidTransform:

@@ -14,3 +14,6 @@ Indices = Int64[np.ndarray, " n"]
 Vector3 = Float64[np.ndarray, "3"]
 Matrix = Float64[np.ndarray, "m k"]
 Covariance6 = Float64[np.ndarray, "6 6"]  # rotation first: rad, m
+
+# The same as fields of records.
+VECTOR, ROTATION, POSE, COVARIANCE = (np.dtype(("f8", shape)) for shape in ((3,), (3, 3), (4, 4), (6, 6)))

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from magmatch.geometry import GENERATORS
 from magmatch.preparation.sensor_model import (
     CHANNEL,
-    MISALIGNMENT_BASIS,
     SOFT_IRON_BASIS,
     SensorCorrection,
     channel_blocks,
@@ -53,7 +53,7 @@ def test_a_channels_columns_are_per_standard_deviation_about_its_mean_and_one_th
 def test_soft_iron_has_no_common_scale_and_a_misalignment_is_a_turn():
     np.testing.assert_allclose(np.trace(SOFT_IRON_BASIS, axis1=1, axis2=2), 0, atol=1e-15)
     np.testing.assert_array_equal(SOFT_IRON_BASIS, np.swapaxes(SOFT_IRON_BASIS, 1, 2))
-    for axis, turn in zip(np.eye(3), MISALIGNMENT_BASIS, strict=True):
+    for axis, turn in zip(np.eye(3), GENERATORS, strict=True):
         np.testing.assert_allclose(turn @ [1.0, 2.0, 3.0], np.cross(axis, [1.0, 2.0, 3.0]))
 
 

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from magmatch.cli.inputs import read_result
 from magmatch.cli.option_values import numbers, one_of, refuse
+from magmatch.data.units import MEBI
 from magmatch.errors import ConfigurationError, DataFormatError, first_fault
 from magmatch.settings import over
 
@@ -27,7 +28,7 @@ RESULTS = ("magmatch.registration/", "magmatch.slam/", "magmatch.localization/")
 # What can be estimated between the two magnetometers; 'auto' leaves it to the configuration.
 SENSORS = ("auto", "none", "bias", "scale", "full")
 # Bytes of a settings file, and of a result used as settings; stated in docs/formats.md.
-MAX_BYTES, MAX_RESULT_BYTES = 1 << 20, 64 << 20
+MAX_BYTES, MAX_RESULT_BYTES = MEBI, 64 * MEBI
 
 
 def registration_config(preset: str, path: Path | None, sensor: str = "auto") -> "RegistrationConfig":

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 
 from magmatch.arguments import expect_kind
+from magmatch.data.dataframes import SINCE_1970
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.order import has_order
-from magmatch.data.sensor_axes import doubt_axes, find_repeats, sensor_readings
+from magmatch.data.sensor_axes import FEW, RESOLVED, doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import GLOBAL_FRAME
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
@@ -19,10 +20,10 @@ from magmatch.number_text import many, told
 from magmatch.typing import Indices, Scalars
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
-MIN_SAMPLES = 10
+MIN_SAMPLES = FEW
 # The Earth's field is 22 to 67 uT; shielded rooms reach some nT, a table over strong magnets some mT. A median
 # outside these bounds is a unit, not a field.
-MEDIAN_FIELD = (1e-9, 20e-3)
+MEDIAN_FIELD = (RESOLVED, 20e-3)
 # Single samples may come close to a magnet; beyond this no survey magnetometer measures.
 MAX_FIELD = 0.1
 MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
@@ -30,7 +31,6 @@ ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordi
 ODD_SPEED = 50.0  # m/s, median along the samples
 JUMP = 20.0  # median steps: one that is longer, and faster than that, is no step
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
-SINCE_1970 = (9e8, 4.5e9)  # s; the years 1998 to 2112
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
 

@@ -18,8 +18,9 @@ from magmatch.typing import Scalars
 
 logger = logging.getLogger(__name__)
 
-# Whole numbers of an index below this may count rows, which no table in memory has more of; stamps are larger.
-NO_ROW_NUMBER = 1_000_000_000
+# s since 1970, of the years 1998 to 2112. Smaller whole numbers may count rows, which no table in memory has as many
+# of.
+SINCE_1970 = (9e8, 4.5e9)
 
 
 def table_of_frame(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str, str]) -> Table:
@@ -60,7 +61,7 @@ def _times_of_index(df: Any, name: str) -> Any:
         kind = getattr(level.dtype, "kind", "")
         if kind == "M" and level.is_monotonic_increasing and level.is_unique and not level.hasnans:
             return level
-        if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= NO_ROW_NUMBER):
+        if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= SINCE_1970[0]):
             called = "without a name" if level.name is None else f"'{level.name}'"
             words = "%s: has no column t, and its index %s is left out; if it holds the times, name it t"
             logger.warning(words, name, called)

@@ -28,6 +28,7 @@ from magmatch.data.frame_mistakes import (
     named,
 )
 from magmatch.data.order import has_order
+from magmatch.data.sensor_axes import FEW, HALF, RESOLVED
 from magmatch.data.survey import Survey
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
 from magmatch.errors import in_short
@@ -36,18 +37,11 @@ from magmatch.typing import Scalars, Vector3, Vectors
 
 log = logging.getLogger(__name__)
 
-# Of the variance of directions, each of length one: from here on they are rather scattered than alike.
-HALF = 0.5
-# Mean vector over mean norm: Earth's field keeps it near one in a frame that stands still.
-TURNING = 0.5
 # Steps of a path whose direction counts, m; shorter ones are sway.
 STRIDE = 0.5
-# Walked steps that a direction is told by.
-MIN_STEPS = 10
 # Ways of the axes that are listed where the motion does not tell which it is; more help nobody.
 MOST_WAYS = 4
 
-CONSTANT_FIELD = 1e-9  # T, standard deviation of every component
 # Deg; indoors steel bends a place's mean field by some tens of them.
 PLAUSIBLE_BEND = 35.0
 
@@ -96,8 +90,8 @@ def constant_field(survey: Survey) -> str:
     """Say that the field varies nowhere, in the survey's or in the sensor's axes; nothing if it does."""
     read = survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
     for field, where in ((survey.field, ""), (read, " in the sensor's axes")):
-        if float(field.std(axis=0).max()) < CONSTANT_FIELD:
-            least = field_text(CONSTANT_FIELD)
+        if float(field.std(axis=0).max()) < RESOLVED:
+            least = field_text(RESOLVED)
             return f"the field is constant{where} (varies less than {least}): nothing tells places apart"
     return ""
 
@@ -152,7 +146,8 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
     elif found is not None:
         yield _told(found, conventions, heading)
     elif survey.orientations is None:
-        if np.linalg.norm(field.mean(axis=0)) < TURNING * np.linalg.norm(field, axis=1).mean():
+        # Earth's field keeps it near one in a frame that stands still.
+        if np.linalg.norm(field.mean(axis=0)) < HALF * np.linalg.norm(field, axis=1).mean():
             measured = "the field vectors point every way, as those of a sensor do that turns"
             yield Diagnosis("turning", measured, MISTAKES["carried"][2])
     elif own >= HALF and walked is not None:
@@ -267,7 +262,7 @@ class _Walked:
         strides = np.diff(points[ends], axis=0)
         length = np.linalg.norm(strides, axis=1)
         kept = (length > stride / 2) & (length < 2 * stride)
-        if kept.sum() < MIN_STEPS:
+        if kept.sum() < FEW:
             return None
         rows, strides = ((ends[:-1] + ends[1:]) // 2)[kept], strides[kept] / length[kept, None]
         angle = np.unwrap(np.arctan2(strides[:, 1], strides[:, 0]))

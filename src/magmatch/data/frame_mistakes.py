@@ -8,13 +8,15 @@ rotation between them. Reversing all three axes changes no scatter: the 48 ways 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.units import ORDINARY_FIELD
+from magmatch.data.sensor_axes import RESOLVED
+from magmatch.data.units import CLOCKS_APART, ORDINARY_FIELD
+from magmatch.geometry import GENERATORS, LINEAR_TURN, unit_vectors
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Scatter with a mistake undone over that as declared, below which it was made: what is declared gets the benefit of a
@@ -28,14 +30,12 @@ N_PARTS = 3
 N_ASKED, N_NEIGHBOURS = 1500, 9
 # Smallest singular value over the largest from which on directions of constants are told apart.
 DISTINCT = 1e-3
-# T: vectors that vary less are equal; smaller differences are rounding.
-RESOLVED = 1e-9
-# s: what `magmatch prepare` searches for an offset of the clocks; and the lags that are tried either way.
-MOST_LAG, N_LAGS = 1.0, 20
+# Lags of the clocks that are tried either way.
+N_LAGS = 20
 # Deg: a smaller turn between sensor and orientations is misalignment, which `magmatch prepare` estimates.
 MOUNT = 20.0
-# Newton's steps to the best rotation, each of at most so many rad: no rotation is farther than 1.1 from all of AXES.
-STEPS, MAX_STEP = 12, 0.3
+# Newton's steps to the best rotation: no rotation is farther than 1.1 rad from all of AXES.
+STEPS = 12
 OWN, DECLARED = "x, y, z", "declared"
 
 
@@ -46,12 +46,8 @@ def named(axes: np.ndarray) -> str:
 
 # The 24 permutations and signs of the axes that stay right-handed.
 AXES = {named(axes): axes for axes in np.rint(Rotation.create_group("O").as_matrix())}
-# Rotations by which a matrix of axes changes, per rad about x, y, z.
-GENERATORS = -np.array([[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]],
-                        [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]], dtype=float)  # fmt: skip
 # Unit vectors every way: to corners, edges and faces of a cube.
-DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=float) - 1
-DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+DIRECTIONS = unit_vectors(np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -129,7 +125,7 @@ def lag_instead(points: Points, declared: Turned, times: Scalars, found: Found) 
     """
     assert declared.turned_by is not None
     interval = max(float(np.median(np.diff(times))), np.finfo(float).tiny)
-    most = min(int(MOST_LAG / interval), len(points) // N_PARTS)
+    most = min(int(CLOCKS_APART / interval), len(points) // N_PARTS)
     rows = np.unique(np.linspace(-most, most, 2 * min(most, N_LAGS) + 1).round().astype(int))
     scatter = {int(lag): _Judged.of(*_shifted(points, declared, int(lag))).scatter for lag in rows}
     as_declared, best = scatter[0], min(scatter, key=lambda lag: min(float(s[0]) for s in scatter[lag]))
@@ -289,10 +285,8 @@ class _Gram:
             ridge = DISTINCT**2 * np.trace(curve, axis1=1, axis2=2)[:, None, None] + np.finfo(float).tiny
             step = -np.linalg.solve(curve + ridge * np.eye(3), slope[..., None])[..., 0]
             length = np.linalg.norm(step, axis=1, keepdims=True)
-            turned = (
-                turned
-                @ Rotation.from_rotvec(step * np.minimum(1, MAX_STEP / np.maximum(length, MAX_STEP))).as_matrix()
-            )
+            step *= np.minimum(1, LINEAR_TURN / np.maximum(length, LINEAR_TURN))
+            turned = turned @ Rotation.from_rotvec(step).as_matrix()
         return turned, self.scatter(turned.reshape(-1, 9))
 
 

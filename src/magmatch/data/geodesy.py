@@ -9,6 +9,8 @@ from magmatch.errors import ConfigurationError
 from magmatch.number_text import told
 from magmatch.typing import Matrix, Points, Scalars
 
+# Deg, either way; longitudes are counted from 0 or from -180.
+MOST_LATITUDE, MOST_LONGITUDE = 90, 360
 # The ellipsoid of WGS 84: semi-major axis in m, and squared eccentricity f (2 - f) of its flattening.
 SEMI_MAJOR = 6_378_137.0
 FLATTENING = 1 / 298.257223563
@@ -51,7 +53,8 @@ class Origin:
 
 def what_is_wrong(latitudes_deg: Scalars, longitudes_deg: Scalars) -> str:
     """Say which numbers are no latitude or longitude; nothing if all are."""
-    for name, degrees, most in (("latitude", latitudes_deg, 90), ("longitude", longitudes_deg, 360)):
+    both = ("latitude", latitudes_deg, MOST_LATITUDE), ("longitude", longitudes_deg, MOST_LONGITUDE)
+    for name, degrees, most in both:
         beyond = degrees[~(np.abs(degrees) <= most)]
         if len(beyond):
             return f"found a {name} of {told(beyond[0])}, expected degrees within {-most} to {most}"

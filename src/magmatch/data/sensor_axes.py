@@ -11,10 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.data.units import field_text
+from magmatch.data.units import TESLA_PER_UNIT, field_text
 from magmatch.number_text import told
 from magmatch.typing import Indices, Mask, Scalars, Vectors
 
+# T: fields that differ by less are equal; of any magnetometer it is rounding.
+RESOLVED = TESLA_PER_UNIT["nT"]
+# Samples, or steps: of fewer, nothing is told.
+FEW = 10
 # Share of the field's size up to which values are one: a turn there and back in float64 leaves 1e-15 of it, one that
 # was written with nine digits in between 1e-9. The last digit of any magnetometer is above 1e-6.
 ROUNDING = 1e-9
@@ -23,12 +27,12 @@ ROUNDING = 1e-9
 FEWEST_AT_LIMIT, FEWEST_LEVELS = 5, 8
 # An axis is stuck where more than half of its readings are one value, and the values beside that have no more than a
 # quarter of these together: of a quiet axis in coarse digits they have more.
-MOSTLY, BESIDE = 0.5, 0.25
+HALF, BESIDE = 0.5, 0.25
 # An axis that shows less than this share of what turns make of the mean field has no gain worth the name.
 LEAST_GAIN = 0.1
 # An axis is stuck for a while where it reads one value in so many new readings on end, though turns alone would
-# change it by this share of the field.
-LONG, TURNED = 20, 0.5
+# change it by half of the field.
+LONG = 20
 ALIKE = "read the same"
 # Share of readings at a limit that is worth a warning: fewer cut off no more than noise does.
 WORTH_SAYING = 0.01
@@ -132,7 +136,7 @@ def _stuck_for_a_while(readings: Vectors, turned: Vectors, times: Scalars | None
         lengths = np.diff(starts, append=len(rows))
         for k in np.flatnonzero(lengths >= LONG):
             run = rows[starts[k] : starts[k] + lengths[k]]
-            if float(np.ptp(turned[run, axis])) > TURNED * size:
+            if float(np.ptp(turned[run, axis])) > HALF * size:
                 ends = [told(times[k]) if times is not None else f"sample {k}" for k in run[[0, -1]].tolist()]
                 unit = " s" if times is not None else ""
                 value = field_text(float(readings[run[0], axis]))
@@ -148,7 +152,7 @@ def find_stuck(readings: Vectors) -> dict[int, tuple[float, Mask]]:
         most = int(levels.counts.argmax())
         count = levels.counts[most]
         beside = levels.counts[max(most - 1, 0) : most + 2].sum() - count
-        if count > MOSTLY * levels.counts.sum() and beside <= BESIDE * count:
+        if count > HALF * levels.counts.sum() and beside <= BESIDE * count:
             found[axis] = float(levels.values[most]) + 0.0, levels.number == most
     return found
 

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.geodesy import what_is_wrong
+from magmatch.data.units import DAMAGED
 from magmatch.errors import DataFormatError
 from magmatch.number_text import told
 from magmatch.typing import Indices, Matrix, Scalars
 
-# s; times beyond this are damage, stated in docs/formats.md.
-LATEST = 1e12
 # m; the frame of a plan, or a map's projection: no place on Earth is further from its equator and meridian.
 FARTHEST = 1e8
 
@@ -60,8 +59,8 @@ class SurveyedPoints:
             wrong = what_is_wrong(np.array([x]), np.array([y])) if in_degrees else ""
             if not in_degrees and max(abs(x), abs(y)) > FARTHEST:
                 wrong = f"found x, y of {told(x)}, {told(y)}, expected metres within {FARTHEST:g} of the origin"
-            if abs(time) > LATEST:
-                wrong = f"found a time of {told(time)} s, expected one below {LATEST:g}"
+            if abs(time) > DAMAGED:
+                wrong = f"found a time of {told(time)} s, expected one below {DAMAGED:g}"
             if wrong:
                 raise DataFormatError(path, f"{source}: {wrong}", line=int(line))
         return cls(times, places, in_degrees, floors, source, lines)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Units that files come in; everything inside the package is tesla and metre."""
+"""Units that files come in, and orders of magnitude; everything inside the package is tesla and metre."""
 
 from collections.abc import Mapping
-from math import log
+from math import log, log10
 from typing import Literal, TypeVar
 
 from magmatch.errors import ConfigurationError
@@ -15,12 +15,18 @@ TESLA_PER_UNIT: dict[FieldUnit, float] = {"T": 1.0, "mT": 1e-3, "uT": 1e-6, "nT"
 METRE_PER_UNIT: dict[LengthUnit, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS_PER_SECOND: dict[TimeUnit, float] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 # As powers of ten.
-DIGITS_OF_SECOND: dict[TimeUnit, int] = {"s": 0, "ms": 3, "us": 6, "ns": 9}
+DIGITS_OF_SECOND: dict[TimeUnit, int] = {unit: round(log10(n)) for unit, n in UNITS_PER_SECOND.items()}
 
 # The Earth's field is 22 to 67 uT at the surface (World Magnetic Model); indoors steel moves it by a factor of two
 # or so, hence the wider window in which a median magnitude is ordinary.
 EARTH_FIELD = 48e-6
 ORDINARY_FIELD = (10e-6, 200e-6)
+# s: the clocks of one device differ by no more, start and stop together by as much, and stamp no more out of order.
+CLOCKS_APART = 1.0
+# No time, position or field in any unit comes near it; its square is still a number.
+DAMAGED = 1e12
+# Bytes.
+MEBI = 1 << 20
 # Path over which standard deviations of odometry are stated, m.
 STATED_OVER = 10.0
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from scipy.special import log_softmax
 
 from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of, worst_sd
 from magmatch.localization.bins import Bin
@@ -38,8 +39,8 @@ BREAK = 2
 NO_CHANCE = -14.0
 # Variances of the odometry's random walk over those stated, and their prior log odds: the stated deviation may be a
 # guess, whose logarithm has a standard deviation of 1, as in slam. Three nodes of it are told apart by a walk.
-DRIFTS = (1.0, np.exp(-2.0), np.exp(2.0))
-DRIFT_ODDS = np.log(np.array([1.0, np.exp(-0.5), np.exp(-0.5)]) / (1 + 2 * np.exp(-0.5)))
+_SPREADS = np.array([0, -1, 1])
+DRIFTS, DRIFT_ODDS = np.exp(2.0 * _SPREADS), log_softmax(-0.5 * _SPREADS**2)
 NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 

@@ -7,10 +7,10 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.features.wahba import to_rotation
-from magmatch.typing import Matrix, Vector3
+from magmatch.typing import VECTOR, Matrix, Vector3
 
 # Sums over a bin's samples: number, times, poses, fields in the odometry's axes; and where its first lies.
-SUMS = np.dtype([("n", "i8"), ("t", "f8"), ("T", "f8", (3, 4)), ("b", "f8", 3), ("first", "f8", 3)])
+SUMS = np.dtype([("n", "i8"), ("t", "f8"), ("T", "f8", (3, 4)), ("b", VECTOR), ("first", VECTOR)])
 
 
 @dataclass(eq=False, slots=True)

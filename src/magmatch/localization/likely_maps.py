@@ -7,7 +7,7 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from magmatch.data.diagnoses import CONSTANT_FIELD
+from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.localization.belief import BIN_LENGTH, Belief
@@ -37,7 +37,7 @@ class LikelyMaps:
         self.bin_length, self.why_none = 1.0, "the body has moved too little"
         if known.atlas is not None:
             self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in known.atlas.entries]))
-        elif known.alone is not None and survey_of(known.alone).field.std(axis=0).max() < CONSTANT_FIELD:
+        elif known.alone is not None and survey_of(known.alone).field.std(axis=0).max() < RESOLVED:
             # It has no field length either.
             self.why_none = "the map's field is constant: nothing tells places apart"
         else:

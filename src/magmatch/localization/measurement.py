@@ -14,15 +14,14 @@ from magmatch.localization.bins import Bin
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, ERROR, GAIN, MISFIT, N_READ, PLACE, Model, N, correct, predict, settle
 from magmatch.registration.prepared.raster import find_cell, interpolate
+from magmatch.typing import ROTATION, VECTOR
 
 # A bin and the odometry that leads to it: turn, shift (m, in the axes of the body before) and time (s) from the bin
 # before; field (T) in the body's axes and how a bias enters it; the body in the odometry's frame; time (s), path (m).
-STEP = np.dtype(
-    [
-        ("dR", "f8", (3, 3)), ("u", "f8", 3), ("dt", "f8"), ("z", "f8", 3), ("M", "f8", (3, 3)),
-        ("R", "f8", (3, 3)), ("p", "f8", 3), ("t", "f8"), ("walked", "f8"),
-    ]
-)  # fmt: skip
+STEP = np.dtype([
+    ("dR", ROTATION), ("u", VECTOR), ("dt", "f8"), ("z", VECTOR), ("M", ROTATION), ("R", ROTATION), ("p", VECTOR),
+    ("t", "f8"), ("walked", "f8"),
+])  # fmt: skip
 # How well a hypothesis predicted a bin: chi^2, half its log-determinant; whether the map knows the place; whether the
 # bin was predicted at all.
 FIT = np.dtype([("chi2", "f8"), ("half_log_det", "f8"), ("is_known", "i8"), ("is_seen", "i8")])

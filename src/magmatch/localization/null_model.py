@@ -22,7 +22,8 @@ from magmatch.typing import Vector3
 LENGTHSCALES, STRENGTHS = (0.7, 2.0), (0.25, 0.7, 2.0)
 # Misfit and nugget, in the hypotheses' standard deviations: another place may be smoother than a poor map's errors.
 NOISES = (1.0, 0.3)
-FIELD, SLOPE, MISFIT, CONSTANT, BIAS, N = 0, 1, 2, 3, 12, 15
+FIELD, SLOPE, MISFIT, CONSTANT, PER_AXIS = range(5)
+BIAS, N = 3 * PER_AXIS, 3 * PER_AXIS + 3
 # One unrelated field: its lengthscale's rate (1/m), variances (T^2), its filter's state and covariance.
 UNRELATED = np.dtype(
     [("rate", "f8"), ("variance", "f8"), ("misfit", "f8"), ("nugget", "f8"), ("x", "f8", N), ("P", "f8", (N, N))]
@@ -45,7 +46,7 @@ class UnrelatedFields:
             one["rate"], one["variance"] = np.sqrt(3) / (lengthscale * known.length), (strength * known.field_sd) ** 2
             one["misfit"] = noise**2 * rough
             one["nugget"] = noise**2 * model.nugget_variance
-            one["x"][CONSTANT:BIAS:4] = mean
+            one["x"][CONSTANT:BIAS:PER_AXIS] = mean
             alike = [one["variance"], one["variance"], one["misfit"]]
             np.fill_diagonal(one["P"], [x for v in variances for x in (*alike, v)] + 3 * [bias**2])
         self._now = self._start.copy()
@@ -105,13 +106,13 @@ def _compare(one, b, RM, PH, S, r):  # type: ignore[no-untyped-def]
     x, P = one.x, one.P
     for i in range(N):
         for a in range(3):
-            at = 4 * a
+            at = PER_AXIS * a
             total = P[i, at] + P[i, at + MISFIT] + P[i, at + CONSTANT]
             for e in range(3):
                 total += P[i, BIAS + e] * RM[a, e]
             PH[i, a] = total
     for a in range(3):
-        at = 4 * a
+        at = PER_AXIS * a
         r[a] = b[a] - x[at] - x[at + MISFIT] - x[at + CONSTANT]
         for e in range(3):
             r[a] -= RM[a, e] * x[BIAS + e]
@@ -127,14 +128,14 @@ def _predict(one, d, dt, model):  # type: ignore[no-untyped-def]
     x, P, variance, fade = one.x, one.P, one.variance, np.exp(-d / model.misfit_length)
     f00, f01, f10, f11 = transition(one.rate * d)
     for a in range(3):
-        i = 4 * a
+        i = PER_AXIS * a
         x[i], x[i + SLOPE] = f00 * x[i] + f01 * x[i + 1], f10 * x[i] + f11 * x[i + 1]
         x[i + MISFIT] *= fade
         for j in range(N):
             P[i, j], P[i + 1, j] = f00 * P[i, j] + f01 * P[i + 1, j], f10 * P[i, j] + f11 * P[i + 1, j]
             P[i + MISFIT, j] *= fade
     for a in range(3):
-        j = 4 * a
+        j = PER_AXIS * a
         for i in range(N):
             P[i, j], P[i, j + 1] = f00 * P[i, j] + f01 * P[i, j + 1], f10 * P[i, j] + f11 * P[i, j + 1]
             P[i, j + MISFIT] *= fade

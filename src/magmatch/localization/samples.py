@@ -11,18 +11,16 @@ from magmatch.arguments import found, numbers_of
 from magmatch.compiled import compiled
 from magmatch.data.checks import MAX_FIELD, ODD_SPEED, too_large
 from magmatch.number_text import told
-from magmatch.typing import Matrix, Vector3
+from magmatch.typing import POSE, VECTOR, Matrix, Vector3
 
 # A body that moves farther at once, and faster than bodies do, has not moved: its odometry began anew. m
 MOST_STEP = 5.0
 # The last sample: time (-inf before the first), the body in an odometry's frame without jumps, field in its axes;
 # where the odometry had it and how its frame lies in that without jumps; and the next, until it is checked.
-SAMPLE = np.dtype(
-    [
-        ("t", "f8"), ("T", "f8", (4, 4)), ("z", "f8", 3), ("p_given", "f8", 3), ("T_odom_given", "f8", (4, 4)),
-        ("next_t", "f8"), ("next_T", "f8", (4, 4)), ("next_z", "f8", 3),
-    ]
-)  # fmt: skip
+SAMPLE = np.dtype([
+    ("t", "f8"), ("T", POSE), ("z", VECTOR), ("p_given", VECTOR), ("T_odom_given", POSE), ("next_t", "f8"),
+    ("next_T", POSE), ("next_z", VECTOR),
+])  # fmt: skip
 FINE, BAD_TIME, BAD_POSE, BAD_FIELD, LARGE_FIELD, BACKWARD, JUMP = range(7)
 
 

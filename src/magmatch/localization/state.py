@@ -16,20 +16,18 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.matern import transition, transition_of
 from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
-from magmatch.typing import Matrix, Vector3
+from magmatch.typing import ROTATION, VECTOR, Matrix, Vector3
 
-THETA, PLACE, BIAS, MISFIT, ERROR, GAIN, MISFIT_SLOPE, ERROR_SLOPE, SCALE, N = 0, 3, 6, 9, 12, 15, 16, 19, 22, 23
-N_READ = MISFIT_SLOPE
+THETA, PLACE, BIAS, MISFIT, ERROR, GAIN = range(0, 18, 3)
+N_READ = MISFIT_SLOPE = GAIN + 1
+ERROR_SLOPE, SCALE, N = MISFIT_SLOPE + 3, MISFIT_SLOPE + 6, MISFIT_SLOPE + 7
 # One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the
 # search for it cost, and that bins gained that are no longer kept. Drift: of the variances that the odometry's random
 # walk is stated with, the factor under which this hypothesis follows it.
-HYPOTHESIS = np.dtype(
-    [
-        ("R", "f8", (3, 3)), ("p", "f8", 3), ("b", "f8", 3), ("c", "f8", 3), ("e", "f8", 3),
-        ("c_slope", "f8", 3), ("e_slope", "f8", 3), ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)),
-        ("earlier", "f8"), ("drift", "f8"),
-    ]
-)  # fmt: skip
+HYPOTHESIS = np.dtype([
+    ("R", ROTATION), ("p", VECTOR), ("b", VECTOR), ("c", VECTOR), ("e", VECTOR), ("c_slope", VECTOR),
+    ("e_slope", VECTOR), ("gain", "f8"), ("scale", "f8"), ("P", "f8", (N, N)), ("earlier", "f8"), ("drift", "f8"),
+])  # fmt: skip
 # A bin that misses by more (chi^2 of 3, one in 10,000) counts as if its covariance were so much larger.
 GATE = 21.0
 # Rate of the Matern-3/2 process whose correlation falls to a half where a squared exponential's of length 1 does.

@@ -11,15 +11,13 @@ from magmatch.compiled import compiled
 from magmatch.estimation.posterior import Kind, log_odds
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, predict
-from magmatch.typing import Covariance6, Matrix, Scalars, Vector3
+from magmatch.typing import COVARIANCE, POSE, VECTOR, Covariance6, Matrix, Scalars, Vector3
 
 # The statement of a hypothesis: the fields of a `PoseEstimate`; T is T_map_body.
-STATED = np.dtype(
-    [
-        ("T", "f8", (4, 4)), ("covariance", "f8", (6, 6)), ("bias", "f8", 3), ("bias_sd", "f8", 3),
-        ("scale", "f8"), ("gain", "f8"), ("drift", "f8"),
-    ]
-)  # fmt: skip
+STATED = np.dtype([
+    ("T", POSE), ("covariance", COVARIANCE), ("bias", VECTOR), ("bias_sd", VECTOR), ("scale", "f8"), ("gain", "f8"),
+    ("drift", "f8"),
+])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)

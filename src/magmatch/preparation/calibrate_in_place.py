@@ -7,13 +7,13 @@ from magmatch.data.sensor_axes import find_stuck
 from magmatch.errors import SurveyError
 from magmatch.estimation.gauss_newton import student_weights
 from magmatch.preparation.config import CalibrationConfig
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, ParameterBlock, Solution, System
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, MOST_STEPS, ParameterBlock, Solution, System
 from magmatch.preparation.plausible import why_no_field, why_no_sensor
 from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection, model_of
 from magmatch.typing import Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50
-MOST_STEPS, CONVERGED = 50, 1e-10  # T
+CONVERGED = 1e-10  # T
 # Rounds of the first centre, and the misfit left out there, in the median one: one huge spike would carry it away.
 TRIMMED, WIDEST = 5, 4.0
 # Spread of |b| after the fit, relative to its mean: more than this is no one field seen from many sides.

@@ -5,22 +5,20 @@ import numpy as np
 from scipy.ndimage import label, median_filter
 from scipy.stats import chi2
 
-from magmatch.data.sensor_axes import at_limit
+from magmatch.data.sensor_axes import FEW, at_limit
 from magmatch.estimation.gauss_newton import student_weights
 from magmatch.field.folds import has_path_order, path_segments
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import MapConsistency
-from magmatch.preparation.least_squares import MEDIAN_TO_SD, SMALLEST_NOISE, robust_sd
+from magmatch.preparation.least_squares import MEDIAN_TO_SD, ROUNDS, SMALLEST_NOISE, robust_sd
 from magmatch.typing import Mask, Points, Scalars, Tensors, Vectors
 
 # Readings to either side that a spike is held against; up to two in a row still stand out.
 NEIGHBOURS = 3
-# Rounds of weighing down what disagrees with the map.
-ROUNDS = 3
 # Metal that moved: median residual of a run, in standard deviations, and the run's length.
 CONTRADICTION, FEWEST_IN_RUN = 4.0, 9
-# Groups by steepness of the field, whose residuals tell how errors grow with it, and their samples.
-N_GROUPS, FEWEST_IN_GROUP = 10, 10
+# Groups by steepness of the field, whose residuals tell how errors grow with it.
+N_GROUPS = 10
 # Stretches are trusted or not as a whole, in so many rounds.
 STRETCH_IN_LENGTHSCALES, ROUNDS_OF_TRUST = 0.5, 8
 
@@ -81,7 +79,7 @@ def runs(mask: Mask, times: Scalars | None) -> list[list[float]]:
 
 def _ordinary_sd(residual: Vectors, gradient: Tensors) -> Scalars:
     """Spread of a component where nothing moved: (n,), T. Errors of poses and map grow with the field's steepness."""
-    if len(residual) < FEWEST_IN_GROUP * N_GROUPS:
+    if len(residual) < FEW * N_GROUPS:
         return np.full(len(residual), robust_sd(residual))
     steepness = np.linalg.norm(gradient, axis=(1, 2))
     size = np.linalg.norm(residual, axis=1) / np.sqrt(chi2.median(3))

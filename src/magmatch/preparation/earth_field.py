@@ -7,6 +7,7 @@ from datetime import date, datetime
 import numpy as np
 
 from magmatch.data.diagnoses import PLAUSIBLE_BEND, inclination_deg
+from magmatch.data.geodesy import MOST_LATITUDE
 from magmatch.data.units import TESLA_PER_UNIT, field_text
 from magmatch.errors import ConfigurationError, import_extra
 from magmatch.preparation.preparation_report import StepReport
@@ -17,7 +18,7 @@ PLAUSIBLE_RATIO = (0.6, 1.6)
 # The 14th generation of the model holds for these years.
 FIRST_YEAR, LAST_YEAR = 1900, 2030
 # At a pole no direction is east, and the model divides by zero; nearer than 0.1 m it is not asked.
-MOST_LATITUDE_DEG = 90 - 1e-6
+MOST_LATITUDE_DEG = MOST_LATITUDE - 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +31,7 @@ class Place:
     day: date
 
     def __post_init__(self) -> None:
-        if not (-90 <= self.latitude_deg <= 90 and -180 <= self.longitude_deg <= 360):
+        if not (abs(self.latitude_deg) <= MOST_LATITUDE and -180 <= self.longitude_deg <= 360):
             place = f"{self.latitude_deg:g}, {self.longitude_deg:g}"
             msg = f"expected a latitude of -90 to 90 and a longitude of -180 to 360 degrees, got {place}"
             raise ConfigurationError(msg)

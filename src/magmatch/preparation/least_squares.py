@@ -14,9 +14,13 @@ Projection = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # A direction is fixed by the data when they know it this many times better (in variance) than what was expected
 # before: to a fifth, 10 uT of hard iron or 1 % of soft iron. What is known worse is better left alone.
 LEAST_INFORMATION = 25.0
+# Standard deviations beyond which a difference is one.
+CLEARLY = 3.0
 # Numbers of stretches that errors are summed over, and the degrees of freedom that this leaves their spread.
-STRETCHES, N_STRETCHES = (40, 20, 10), 20
-ROUNDS_OF_NOISE = 3
+N_STRETCHES = 20
+STRETCHES = (40, N_STRETCHES, 10)
+# Rounds of judging noise by what remains; and steps at most, where nearly all that begins converges in fewer.
+ROUNDS, MOST_STEPS = 3, 50
 MEDIAN_TO_SD = 1.4826
 SMALLEST_NOISE = 1e-15  # T; exact data would divide by zero
 
@@ -78,7 +82,7 @@ class System:
         noise = robust_sd(y)
         # Noise and its correlation are judged by what remains when everything is free: otherwise what is held at zero
         # by mistake would look like noise, and stay there.
-        for _ in range(ROUNDS_OF_NOISE):
+        for _ in range(ROUNDS):
             z = -vectors @ ((vectors.T @ against) / (np.maximum(values, 0) + noise**2))
             free = y + np.einsum("i,inc->nc", z, right)
             noise = robust_sd(free)

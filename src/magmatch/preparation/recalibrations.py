@@ -6,23 +6,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from magmatch.data.sensor_axes import find_repeats
+from magmatch.data.sensor_axes import HALF, find_repeats
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.disturbances import find_saturation
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import CHANNEL, PIECE
-from magmatch.typing import Indices, Scalars, Vector3, Vectors
+from magmatch.typing import VECTOR, Indices, Scalars, Vector3, Vectors
 
 # Readings to either side that a jump is held against, how many times it exceeds the largest change among them, and
 # the least of it. Phones waved about change by up to 12 uT from one reading to the next, and by as much beside it. In
 # the 20 IPIN logs five are found, of 120, 58, 7, 6 and 5 uT: all but the fourth where the phone's own figure of
 # accuracy changed, which it did nine times.
 NEIGHBOURS, TIMES_LARGER, SMALLEST = 8, 3.0, 3e-6
-# How much of it must still be there after those readings: a spike goes back.
-LASTING = 0.5
-# Intervals that are this many times the usual are gaps, in which a field may change as it likes.
-GAP = 3.0
 # A phone recalibrates itself a few times at most; more is something else, and the largest are taken.
 MOST = 8
 
@@ -63,7 +59,7 @@ class Recalibrations:
         return replace(log, readings=log.readings - offsets[piece])
 
 
-NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+NO_CUTS = Recalibrations(np.zeros(0, dtype=np.int64), np.zeros(0, VECTOR))
 
 
 def find_recalibrations(log: SensorLog) -> Recalibrations:
@@ -92,9 +88,11 @@ def find_recalibrations(log: SensorLog) -> Recalibrations:
     beside = _most_beside(change)
     is_jump &= (change > TIMES_LARGER * beside) & (step <= TIMES_LARGER * _most_beside(step))
     is_jump &= (turned <= TIMES_LARGER * _most_beside(turned)) | (TIMES_LARGER * turned < change)
-    is_jump &= intervals < GAP * np.median(intervals)
+    # Longer intervals are gaps, in which a field may change as it likes.
+    is_jump &= intervals < TIMES_LARGER * np.median(intervals)
     candidates = [(row, _step(log, row)) for row in (np.flatnonzero(is_jump) + 1).tolist()]
-    lasting = [(row, step) for row, step in candidates if np.linalg.norm(step) > LASTING * change[row - 1]]
+    # A spike goes back.
+    lasting = [(row, step) for row, step in candidates if np.linalg.norm(step) > HALF * change[row - 1]]
     most = np.maximum(SMALLEST, TIMES_LARGER * beside)
     lasting = [
         (r, step) for r, step in lasting if not _is_turn(field, r, log.orientations[r].apply(step), most[r - 1])

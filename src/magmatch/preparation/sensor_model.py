@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from magmatch.geometry import GENERATORS
 from magmatch.preparation.least_squares import ParameterBlock
 from magmatch.typing import Matrix, Scalars, Tensors, Vector3, Vectors
 
@@ -19,20 +20,7 @@ CHANNEL = "channel "
 PIECE = "recalibrated piece "
 # Symmetric matrices without trace (the trace would be a common scale, which no survey alone can tell from a stronger
 # field). Coefficients are entries: half the difference of xx and yy, then zz, xy, xz and yz.
-SOFT_IRON_BASIS = np.array(
-    [
-        np.diag([1.0, -1.0, 0.0]),
-        np.diag([-0.5, -0.5, 1.0]),
-        [[0, 1, 0], [1, 0, 0], [0, 0, 0]],
-        [[0, 0, 1], [0, 0, 0], [1, 0, 0]],
-        [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
-    ]
-)
-# Turns about x, y and z, per rad.
-MISALIGNMENT_BASIS = np.array(
-    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]],
-    dtype=np.float64,
-)
+SOFT_IRON_BASIS = np.array([np.diag([1.0, -1.0, 0.0]), np.diag([-0.5, -0.5, 1.0]), *np.abs(GENERATORS[::-1])])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,7 +94,7 @@ def sensor_blocks(R: Tensors, readings: Vectors, sizes: Mapping[str, float]) -> 
     columns = {}
     if "hard_iron" in sizes:
         columns["hard_iron"] = -np.moveaxis(R, 2, 0)
-    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
+    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", GENERATORS)):
         if name in sizes:
             columns[name] = np.einsum("nij,kjl,nl->kni", R, basis, readings, optimize=True)
     return {name: ParameterBlock(values, sizes[name]) for name, values in columns.items()}
@@ -126,7 +114,7 @@ def channel_blocks(R: Tensors, channels: Mapping[str, Scalars], size: float) -> 
 def model_of(estimate: Mapping[str, np.ndarray], channels: Mapping[str, Scalars]) -> SensorCorrection:
     """Sensor model of the estimated unknowns; what was not estimated is taken to be perfect."""
     matrix, shift = np.eye(3), np.zeros(3)
-    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", MISALIGNMENT_BASIS)):
+    for name, basis in (("soft_iron", SOFT_IRON_BASIS), ("misalignment", GENERATORS)):
         if name in estimate:
             matrix = matrix + np.einsum("k,kij->ij", estimate[name], basis)
     if "hard_iron" in estimate:

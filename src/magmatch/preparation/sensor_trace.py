@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magmatch.data.frame_mistakes import N_ASKED, N_PARTS
 from magmatch.data.survey import Survey
 from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
@@ -18,7 +19,7 @@ from magmatch.typing import Indices, Points
 
 # Samples that are asked: through the survey where a map of that costs no more operations, else around a few places,
 # else with wider splines.
-N_ASKED, N_PLACES, CUTS, WIDER, MOST_OPERATIONS = 1500, 3, (1, 2), (1.0, 1.5, 2.25, 3.4), 4e9
+CUTS, WIDER, MOST_OPERATIONS = (1, 2), 1.5 ** np.arange(4), 4e9
 # Nats for one direction of the sensor's frame that are worth a calibration, which has the last word. Error-free logs
 # stay below 0; hard iron of 1.5 to 30 uT reaches 4 to 95 where places are passed more than once.
 MIN_EVIDENCE = 3.0
@@ -72,6 +73,6 @@ def _asked(points: Points, h: Hyperparameters) -> tuple[Indices, Hyperparameters
     Passes of one place with other headings are what tells: closer splines are given up before those are.
     """
     rows = [np.arange(0, len(points), -(-len(points) // N_ASKED))]
-    rows += [np.flatnonzero(choose_part(points, min(N_ASKED, len(points)) // cut, N_PLACES)) for cut in CUTS]
+    rows += [np.flatnonzero(choose_part(points, min(N_ASKED, len(points)) // cut, N_PARTS)) for cut in CUTS]
     tried = ((some, replace(h, spacing=wider * h.spacing)) for wider in WIDER for some in rows)
     return next((t for t in tried if fit_operations(points[t[0]], t[1]) <= MOST_OPERATIONS), None)

@@ -2,27 +2,23 @@
 """Initial estimate of the offset between two clocks: where one coarse map explains the rotated field best."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from magmatch.estimation.limits import RANKING_POINTS
 from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.preparation.consistency import LENGTHSCALE_IN_SPACINGS, MapConsistency
-from magmatch.preparation.least_squares import N_STRETCHES, Solution, System
+from magmatch.preparation.least_squares import CLEARLY, N_STRETCHES, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import sensor_blocks
 from magmatch.typing import Points, Scalars
 
 # s, of the first and of the second pass; dips of the curve are some 0.3 s wide, as long as a hand takes to turn.
 STEPS = (0.1, 0.025)
-# Samples that the curve is made from; its place, not its depth, is asked for.
-N_SAMPLES = 600
-# Standard errors; the best of some thirty trials is ahead of a given one by two of them by luck.
-CLEARLY = 3.0
 # The map: as fine as this many cells allow, never finer than a share of the extent; ordinary field and noise.
 MOST_CELLS, FINEST_SHARE = 800, 0.1
-# How far its basis reaches beyond the samples, in cells.
-REACH = 2.0
 SIGNAL_SD, NOISE_SD, STIFFNESS = 10e-6, 0.5e-6, 3000.0
 
 
@@ -34,7 +30,8 @@ def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float
     At a wrong offset the field is turned by the wrong attitude and put at the wrong place. No single map explains
     both, whatever the hard and soft iron, which are estimated along with each trial.
     """
-    part = log.subset(np.arange(0, len(log), -(-len(log) // N_SAMPLES)))
+    # The place of the curve, not its depth, is asked for.
+    part = log.subset(np.arange(0, len(log), -(-len(log) // RANKING_POINTS)))
     settings = coarse_settings(part.positions)
     trials = {0.0: _solved(part, 0.0, settings, sizes)}
     if log.times is None or largest == 0:
@@ -52,12 +49,11 @@ def search_time_offset(log: SensorLog, largest: float, sizes: Mapping[str, float
 def coarse_settings(points: Points) -> Hyperparameters:
     """Settings of a map that is cheap, whatever the size of the place."""
     extent = float(np.ptp(points, axis=0).max())
-    spacing = extent / 2
-    while spacing > FINEST_SHARE * extent:
-        if count_active_cells(points, spacing / 1.25, REACH) > MOST_CELLS:
-            break
-        spacing /= 1.25
-    return Hyperparameters(LENGTHSCALE_IN_SPACINGS * spacing, SIGNAL_SD, NOISE_SD, spacing, STIFFNESS, reach=REACH)
+    finer = Hyperparameters(LENGTHSCALE_IN_SPACINGS * extent / 2, SIGNAL_SD, NOISE_SD, extent / 2, STIFFNESS)
+    while True:
+        h, finer = finer, replace(finer, lengthscale=finer.lengthscale / 1.25, spacing=finer.spacing / 1.25)
+        if h.spacing <= FINEST_SHARE * extent or count_active_cells(points, finer.spacing, h.reach) > MOST_CELLS:
+            return h
 
 
 def _solved(part: SensorLog, offset: float, settings: Hyperparameters, sizes: Mapping[str, float]) -> Solution:
@@ -78,4 +74,5 @@ def _best(trials: Mapping[float, Solution]) -> float:
     }
     best = min(squares, key=lambda offset: float(squares[offset].mean()))
     gains = np.array([part.mean() for part in np.array_split(squares[0.0] - squares[best], N_STRETCHES)])
+    # In standard errors: of some thirty trials, the best is ahead of a given one by two of them by luck.
     return best if gains.mean() > CLEARLY * gains.std(ddof=1) / np.sqrt(len(gains)) else 0.0

@@ -38,8 +38,8 @@ from magmatch.typing import Points, Vector3
 TABLE_SIZE = (2.0, 1.5)  # m; 3 m^2 as published
 TABLE_MAGNET_DEPTH = 0.08  # m under the surface: top and spacer, so that rows resolve what lies under them
 TABLE_ROW_SPACING = 0.07  # m
-TABLE_HEIGHTS = (0.05, 0.10, 0.15)  # m above the surface
 ROBOT_HEIGHT = 0.05  # m above the table, as published
+TABLE_HEIGHTS = (ROBOT_HEIGHT, 0.10, 0.15)  # m above the surface
 LOOP_SIZE = (20.0, 10.0)  # m, sides of the corridor's centre line
 LOOP_CORNER = 1.0  # m, radius a robot turns with
 CORRIDOR_HALF_WIDTH = 1.0  # m
@@ -266,8 +266,7 @@ def _hand_held_sweep(along: int, held: Rotation, n: int, rng: np.random.Generato
 
 
 SCENARIOS: dict[str, Builder] = {
-    "office": partial(_room_turned, axis="z", angle_deg=30.0),
-    "office-z30": partial(_room_turned, axis="z", angle_deg=30.0),
+    **dict.fromkeys(("office", "office-z30"), partial(_room_turned, axis="z", angle_deg=30.0)),
     "office-x30": partial(_room_turned, axis="x", angle_deg=-30.0),
     "office-random": partial(_room, frame="any"),
     "office-overlap": partial(_room, frame="any", overlap=0.5),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from magmatch.data.checks import extent
-from magmatch.data.diagnoses import CONSTANT_FIELD
+from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
 from magmatch.field.sensor_biases import without_bias
 from magmatch.preparation.odometry.drift import lie_level
@@ -45,7 +45,7 @@ def begin(
     given: Sequence[Survey], config: SlamConfig, anchors: Sequence[tuple[Anchor, int]] = (), n_parts: int = N_PARTS
 ) -> Places:
     """Cut logs into windows, where odometry has them; the field's length is learned from so many parts."""
-    if all(survey.field.std(axis=0).max() < CONSTANT_FIELD for survey in given):
+    if all(survey.field.std(axis=0).max() < RESOLVED for survey in given):
         # Nothing tells places apart, and the field has no length.
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
         return _solved(Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given), [*anchors]))

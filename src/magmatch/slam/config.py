@@ -6,6 +6,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from magmatch.data.geodesy import MOST_LATITUDE, MOST_LONGITUDE
 from magmatch.preparation.odometry.drift import Drift, OdometryConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.search.pair_search import PairSearchConfig
@@ -23,12 +24,14 @@ MOST_ODDS = 12.0
 # Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
 # simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
+# Rounds of what each makes the next possible: search, and cutting parts.
+MOST_ROUNDS = 4
 # Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
 # what one tells (`counted`): four tell four fifths of all.
 MOST_PASSES = 4
 
-Latitude = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
-Longitude = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
+Latitude = Annotated[float, Field(ge=-MOST_LATITUDE, le=MOST_LATITUDE, allow_inf_nan=False)]
+Longitude = Annotated[float, Field(ge=-MOST_LONGITUDE, le=MOST_LONGITUDE, allow_inf_nan=False)]
 
 
 class SlamConfig(Settings):

@@ -23,14 +23,15 @@ from magmatch.geometry import path_walked
 from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.windows import PART_LENGTH
 from magmatch.typing import Vector3
 
 log = logging.getLogger(__name__)
 
 # Of a phone or a robot that was not calibrated, T; weak against a hundred metres of path.
 BIAS_SD = 10e-6
-# Bins a lengthscale, and lengthscales a part.
-BINS, PART_LENGTH = 4, 25.0
+# Bins a lengthscale.
+BINS = 4
 
 
 def recalibrations_of(survey: Survey) -> Recalibrations:

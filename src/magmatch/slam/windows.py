@@ -17,8 +17,8 @@ from magmatch.slam.bending import bend, turned
 from magmatch.slam.config import SlamConfig
 from magmatch.typing import Indices, Points, Scalars, Vector3
 
-# Largest bend of a window, in field lengths.
-MOST_BEND = 1.0
+# Lengthscales, or field lengths, of a part of a log.
+PART_LENGTH = 25.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class Window:
     @property
     def keeps_shape(self) -> bool:
         """Whether it bends less than the reach of the field's gradient; otherwise it would fit anywhere."""
-        return self.bends_by <= MOST_BEND * self.length
+        return self.bends_by <= self.length
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.data.dataframes import NO_ROW_NUMBER
+from magmatch.data.dataframes import SINCE_1970
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, choose_columns
@@ -56,7 +56,7 @@ def _index_of_dates(path: str | Path, file: Any) -> dict[str, str]:
             values = _column(path, file, name)
         if types.is_timestamp(kind) and (np.diff(values) > 0).all():
             return {name: "t"}
-        if types.is_integer(kind) and np.abs(values).max(initial=0) < NO_ROW_NUMBER:
+        if types.is_integer(kind) and np.abs(values).max(initial=0) < SINCE_1970[0]:
             continue
         words = "%s: has no column t, and its index without a name is left out; if it holds the times: --columns t=%s"
         logger.warning(words, path, name)

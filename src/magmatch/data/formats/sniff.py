@@ -23,6 +23,7 @@ from magmatch.data.tables.text import is_folder, is_gzip, read_bytes, text_lines
 from magmatch.data.tables.text_rows import delimiter_of, is_row, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.data.tables.yaml_text import mapping_in
+from magmatch.data.units import MEBI
 from magmatch.errors import DataFormatError
 
 FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone"]
@@ -74,7 +75,7 @@ BROKEN_ZIP = (
 STORED = b'"__metadata__'
 _STORED_HEAD = 400  # bytes: two digests and the schema
 _REGISTRATION_SCHEMA = "magmatch.registration/"
-_HEAD = 1 << 20  # bytes that decide; only the comments of a text file can be longer
+_HEAD = MEBI  # bytes that decide; only the comments of a text file can be longer
 
 
 def sniff(path: str | Path) -> FileKind:

@@ -12,12 +12,12 @@ from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Decoder, Entries, Fault, Frames
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.data.tables.times import SECOND
+from magmatch.data.units import DAMAGED
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices
 
 logger = logging.getLogger(__name__)
 
-MAX_NUMBER = 1e12  # no position or field in any unit comes near it; its square is still a number
 # Messages of several publishers reach the recorder a little out of order; a larger step back is a clock set anew.
 MAX_STEP_BACK_NS = SECOND
 # Header stamps and log times differ by the transport, some ms; more is two clocks.
@@ -78,7 +78,7 @@ def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> Top
 
 def _whole(part: Entries, faults: list[Fault]) -> Entries:
     """Entries that hold numbers, and unit quaternions where they hold one."""
-    is_number = (np.abs(part.values) < MAX_NUMBER).all(axis=1)  # false of NaN too
+    is_number = (np.abs(part.values) < DAMAGED).all(axis=1)  # false of NaN too
     for i in np.flatnonzero(~is_number).tolist():
         most = np.abs(part.values[i]).max()
         words = f"holds a number of {most:.3g}" if np.isfinite(most) else "holds NaN or infinity"

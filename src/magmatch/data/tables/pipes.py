@@ -10,11 +10,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from magmatch.data.units import MEBI
 from magmatch.errors import DataFormatError
 
 # Bytes; what a gzip file may unpack to, stated in docs/formats.md.
-MOST = 2 << 30
-PIECE = 4 << 20
+MOST, PIECE = 2048 * MEBI, MEBI
 # Where a process has its open pipes.
 OPEN = ("/dev/", "/proc/")
 # s; a pipe with a name elsewhere may never have a writer: so long people take to start one by hand.

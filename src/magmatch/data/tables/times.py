@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.tables.number_marks import Decimal, python_text
+from magmatch.data.units import UNITS_PER_SECOND
 from magmatch.typing import Indices, Scalars
 
 # Date, time of day, decimals of a second, offset from UTC. Python's own parser drops all decimals behind the sixth.
@@ -16,7 +17,7 @@ _DATE = re.compile(
     r"(\d{4}-\d\d-\d\d|\d{8})[T ](\d\d:?\d\d(?::?\d\d)?)(?:[.,](\d{1,12}))?\s*(Z|UTC|[-+]\d\d(?::?\d\d)?)?",
     re.IGNORECASE,
 )
-SECOND = 1_000_000_000
+SECOND = int(UNITS_PER_SECOND["ns"])
 
 
 def seconds_of(nanoseconds: Iterable[float], per_second: int = SECOND) -> Scalars:

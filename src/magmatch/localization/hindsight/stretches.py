@@ -14,11 +14,11 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import transform_from_product
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.typing import Mask, Scalars
+from magmatch.typing import COVARIANCE, POSE, Mask, Scalars
 
 # Squared distance (chi^2 of six, one in 10,000) from which on two estimates contradict each other.
 CONTRADICTION = 27.9
-NONE = (np.zeros((0, 4, 4)), np.zeros((0, 6, 6)))
+NONE = (np.zeros(0, POSE), np.zeros(0, COVARIANCE))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from magmatch.compiled import compiled
 # What a bin outside the map costs, in squared residuals, and the share of bins that may lie there.
 OUTSIDE, MOST_OUTSIDE = 6.0, 1 / 3
 # Cost of a pose that is none.
-UNKNOWN = 1e30
+UNKNOWN = np.inf
 
 
 @compiled

@@ -12,9 +12,10 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.start.grid_score import OUTSIDE, UNKNOWN
 from magmatch.registration.prepared.raster import find_cell, interpolate
+from magmatch.typing import ROTATION, VECTOR
 
 # A bin in axes with the map's up: shift from the last bin (m), field (T), attitude.
-STRETCH = np.dtype([("q", "f8", 3), ("f", "f8", 3), ("R", "f8", (3, 3))])
+STRETCH = np.dtype([("q", VECTOR), ("f", VECTOR), ("R", ROTATION)])
 
 
 class Priors(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePriorConfig, pose_prior
 from magmatch.estimation.walk import walk_of
-from magmatch.geometry import rotation_matrix
+from magmatch.geometry import rotation_matrix, skew
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, follow
@@ -24,7 +24,7 @@ from magmatch.typing import Points, Scalars, Vector3
 # Headings tried, and how many bins of path make one that is scored.
 N_HEADINGS, SCORED_EVERY = 60, 2
 # Residuals of a pose on the grid, and along the refinement, as a share of the field's spread.
-SCORE_SD, SCHEDULE = 0.45, (0.55, 0.42, 0.35, 0.28, 0.28, 0.28, 0.28, 0.28)
+SCORE_SD, SCHEDULE = 0.45, (0.55, 0.42, 0.35, *[0.28] * 5)
 # How well a refined start is known: field lengths, and rad. Starts nearer than that are one.
 START_SD = (0.25, 0.09)
 # Of the scores' best, in one cell of a field length and so many headings.
@@ -70,8 +70,7 @@ def _stretch_of(known: KnownMap, steps: np.ndarray) -> np.ndarray:
 
 def _about(up: Vector3, angles: Scalars) -> np.ndarray:
     """Rotations about the vertical, (n, 3, 3)."""
-    K = np.array([[0, -up[2], up[1]], [up[2], 0, -up[0]], [-up[1], up[0], 0]])
-    s, c = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    K, s, c = skew(up), np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
     return np.asarray(np.eye(3) + s * K + (1 - c) * (K @ K))
 
 

@@ -15,6 +15,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.table import Wanted, read_table
 from magmatch.data.tables.text_rows import listed
+from magmatch.data.units import CLOCKS_APART
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.number_text import told
 from magmatch.slam.graph.factors import FixedPoints
@@ -27,8 +28,6 @@ logger = logging.getLogger(__name__)
 NUMBERS = ("t", "x", "y", "z", "sd")
 COLUMNS = ("log", *NUMBERS)
 DEGREES = {"x": "lat", "y": "lon"}  # columns that stand in for others
-# s; a point so long before the first sample or after the last still counts: marks and sensors start one by one.
-BEYOND = 1.0
 # Per axis, m: people who walk at 1 m/s press the button within some tenths of a second of the point.
 WAYPOINT_SD = 0.3
 
@@ -157,7 +156,7 @@ def of_named(
         if span is None:
             msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
             raise ConfigurationError(msg)
-        if not span[0] - BEYOND <= anchor.t <= span[1] + BEYOND:
+        if not span[0] - CLOCKS_APART <= anchor.t <= span[1] + CLOCKS_APART:
             between = f"between {told(span[0])} and {told(span[1])} s, when log {anchor.log!r} was walked"
             msg = f"{anchor.source}: expected a time {between}, found {told(anchor.t)}"
             raise ConfigurationError(msg)
@@ -198,10 +197,10 @@ def waypoints(points: SurveyedPoints, survey: Survey, log: str) -> list[Anchor]:
     """
     times = survey.times
     assert times is not None  # what phones log has times
-    is_passed = (points.times >= times[0] - BEYOND) & (points.times <= times[-1] + BEYOND)
+    is_passed = (points.times >= times[0] - CLOCKS_APART) & (points.times <= times[-1] + CLOCKS_APART)
     if not is_passed.all():
         words = "%s: %d of its %d surveyed points lie more than %g s before or after its samples (left out)"
-        logger.warning(words, survey.name, (~is_passed).sum(), len(is_passed), BEYOND)
+        logger.warning(words, survey.name, (~is_passed).sum(), len(is_passed), CLOCKS_APART)
     heights = np.interp(points.times, times, survey.positions[:, 2])
     rows = zip(points.times, points.places, heights, points.lines, is_passed, strict=True)
     return [

@@ -15,9 +15,7 @@ from magmatch.slam.graph.pose_graph import SURE, PoseGraph
 from magmatch.slam.windows import Path
 from magmatch.typing import Scalars
 
-# Standard deviation of the stated drift's logarithm: it may be a guess.
-STATED_SPREAD = 1.0
-# Factors nearer than this share of it are one.
+# Factors whose logarithms are nearer than this are one.
 SAME_FACTOR = 0.05
 
 
@@ -39,11 +37,11 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
         a, b = np.exp(2 * logs)
         Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
         trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
-        return 0.5 * float((logs**2).sum()) / STATED_SPREAD**2 - log_evidence(trial)
+        # The stated drift may be a guess, whose logarithm has a standard deviation of 1.
+        return 0.5 * float((logs**2).sum()) - log_evidence(trial)
 
-    simplex = STATED_SPREAD * np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
-    near = SAME_FACTOR * STATED_SPREAD
-    found = fmin(cost, simplex[0], xtol=near, ftol=near, initial_simplex=simplex, disp=False)
+    simplex = np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
+    found = fmin(cost, simplex[0], xtol=SAME_FACTOR, ftol=SAME_FACTOR, initial_simplex=simplex, disp=False)
     return _with_factors(stated, np.exp(found))
 
 

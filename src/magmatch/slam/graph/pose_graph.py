@@ -13,7 +13,8 @@ from scipy.sparse import bsr_array, coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import skew, transform_of
+from magmatch.geometry import ROUNDING, skew, transform_of
+from magmatch.preparation.least_squares import CLEARLY
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.block_cholesky import BlockCholesky, SelectedInverse
 from magmatch.slam.graph.factors import N_LASTING, Closure, ClosureArrays, Edges, FixedPoints, SubmapFactor
@@ -24,13 +25,8 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 SURE = 1e-4
 # The same of what fixed points need not tell, such as where the frame of a single one points to: rad, m.
 FREE = 1e3
-# Standard deviations beyond which a difference is one.
-DISTINCT = 3.0
-# Least share of a fixed point's information that others are taken to have: float64 tells no less from none.
-UNTOLD = 1e-12
 # Nodes nearer than this along one log are one pass of a place, and are not compared: their windows adjoin.
 APART = 2
-UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(eq=False)
@@ -153,7 +149,7 @@ class PoseGraph:
         upright = self.config.is_gravity_aligned
         lengths = np.linalg.svd(apart[:, :2] if upright else apart, compute_uv=False)
         # About the vertical one direction tells the turn, in space it takes two.
-        return bool(lengths[0 if upright else 1 :].max(initial=0.0) > DISTINCT)
+        return bool(lengths[0 if upright else 1 :].max(initial=0.0) > CLEARLY)
 
     def is_fixed(self, node: int) -> bool:
         """Whether fixed points tell the frame that a node is in."""
@@ -190,8 +186,9 @@ class PoseGraph:
         S = J @ C @ np.swapaxes(J, 1, 2) / f.sd[:, None, None] ** 2
         told, axes = np.linalg.eigh((S + np.swapaxes(S, 1, 2)) / 2)
         # Where nothing else tells a point's place, rounding decides what is left of one; its residual says nothing.
-        left, apart = np.maximum(1 - told, UNTOLD), np.einsum("aji,aj->ai", axes, seen - f.position)
-        off = np.einsum("aij,aj->ai", axes, np.where(1 - told > UNTOLD, apart / left, 0.0))
+        # float64 tells no smaller share of a fixed point's information that others have from none.
+        left, apart = np.maximum(1 - told, ROUNDING), np.einsum("aji,aj->ai", axes, seen - f.position)
+        off = np.einsum("aij,aj->ai", axes, np.where(1 - told > ROUNDING, apart / left, 0.0))
         return off, axes / left[:, None, :] @ np.swapaxes(axes, 1, 2) * f.sd[:, None, None] ** 2
 
     def surprise_of_fixed(self) -> Scalars:

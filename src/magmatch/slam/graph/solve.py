@@ -8,17 +8,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magmatch.estimation.gauss_newton import perturbed
+from magmatch.estimation.pose_prior import UP
+from magmatch.geometry import LINEAR_TURN
+from magmatch.preparation.least_squares import MOST_STEPS
 from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.normal_equations import normal_equations
-from magmatch.slam.graph.pose_graph import UP, PoseGraph
+from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.switchable_constraints import probabilities
 
-# Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
-MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
-# Change of a closure's weight that ends it.
-SETTLED = 1e-2
-# Largest turn of a step, rad: beyond it, equations are not linear.
-MOST_TURN = 0.3
+# The step size within which closures may lose weight, and the one that ends the iteration once weights settle, too.
+NEAR, SMALL = 1e-2, 1e-3
 # Fixed points of which one may be wrong. To first order their surprise is by how much all else agrees better without
 # each, so the wrong one is among the first few; each takes a solution, and phones' logs hold hundreds.
 SUSPECTS = 16
@@ -32,7 +31,7 @@ def solve(graph: PoseGraph) -> None:
         H, v, _ = normal_equations(graph)
         xi = -graph.factor(H).solve(v[None])[0]
         n = len(graph.p)
-        xi *= min(1.0, MOST_TURN / max(np.abs(xi[:n, :3]).max(), 1e-300))
+        xi *= min(1.0, LINEAR_TURN / max(np.abs(xi[:n, :3]).max(), 1e-300))
         graph.R, graph.p = perturbed(graph.R, graph.p, xi[:n])
         graph.lasting = graph.lasting + xi[n:, :N_LASTING]
         moved, changed = np.abs(xi).max(), 0.0
@@ -41,7 +40,7 @@ def solve(graph: PoseGraph) -> None:
             before = graph.as_arrays.weight
             graph.weigh_closures(probabilities(graph, at_first=at_first))
             at_first, changed = False, np.abs(graph.as_arrays.weight - before).max()
-        if moved < SMALL and changed < SETTLED:
+        if moved < SMALL and changed < NEAR:
             break
     _bring_home(graph)
 

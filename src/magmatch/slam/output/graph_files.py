@@ -11,6 +11,7 @@ from magmatch.data.tables.table import write_table
 from magmatch.geometry import adjoint
 from magmatch.number_text import exact
 from magmatch.registration.g2o import Edge, write_pose_graph
+from magmatch.slam.graph.block_cholesky import SIDE
 from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
@@ -18,7 +19,7 @@ from magmatch.slam.session import Session
 from magmatch.slam.statement import body_at
 from magmatch.typing import Scalars
 
-UPPER = np.triu_indices(6)
+UPPER = np.triu_indices(SIDE)
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 COLUMNS = (*POSE, *(f"c{i}{j}" for i, j in zip(*UPPER, strict=True)))
 

@@ -30,7 +30,7 @@ SAME_SHIFT, SAME_TURN = 0.3, 0.1
 # closure may gain. Drift is learned for all logs together; on single stretches it is larger.
 REACH = float(np.sqrt(2 * MOST_ODDS))
 # Covariance of a node about where the graph has it, whatever that says: gravity and one floor hold it no better.
-NODE_COVARIANCE = np.diag(np.repeat([UPRIGHT_SD**2, LEVEL_SD**2], 3))
+NODE_COVARIANCE = np.diag(np.repeat([UPRIGHT_SD, LEVEL_SD], 3) ** 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

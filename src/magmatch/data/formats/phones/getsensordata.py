@@ -12,6 +12,7 @@ from magmatch.data.formats.phones.tagged_rows import lines_of, read_tagged
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.number_marks import decimal_of_cells
 from magmatch.data.tables.text_rows import split_row
+from magmatch.data.units import CLOCKS_APART
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix
 
@@ -23,8 +24,6 @@ _POINT, _POINT_NAMES = "POSI", ("app time", "counter", "latitude", "longitude", 
 # The lines above the rows may name the columns: ``% MAGN: 'MAGN;AppTimestamp(s);SensorTimestamp(s);Mag_X(uT);...'``.
 _NAMED = re.compile(r"\b(MAGN|ACCE|GYRO);([^'\"]*)")
 _ROW = re.compile(rb"(?m)^(?:ACCE|GYRO|MAGN);\s*[-+\d.,]+;")
-# Sensors whose clocks differ by no more than this from the app's share one clock, s.
-ONE_CLOCK = 1.0
 
 
 def begins_like(head: bytes) -> bool:
@@ -40,7 +39,7 @@ def read(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -
     """
     blocks = _read(path, raw, _TAGS, _NAMES, recover)
     ahead = {tag: float(np.median(block[:, 0] - block[:, 1])) for tag, (block, _) in blocks.items()}
-    if ahead and max(ahead.values()) - min(ahead.values()) < ONE_CLOCK:
+    if ahead and max(ahead.values()) - min(ahead.values()) < CLOCKS_APART:
         ahead = dict.fromkeys(
             ahead, float(np.median(np.concatenate([b[:, 0] - b[:, 1] for b, _ in blocks.values()])))
         )

@@ -5,11 +5,12 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from magmatch.data.surveyed_points import LATEST, SurveyedPoints
+from magmatch.data.surveyed_points import SurveyedPoints
+from magmatch.data.units import CLOCKS_APART, DAMAGED, TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
 from magmatch.number_text import told
 from magmatch.typing import Indices, Scalars, Vectors
@@ -19,15 +20,11 @@ logger = logging.getLogger(__name__)
 # field: the magnetometer with the phone's own calibration; raw_field: without it. acceleration includes gravity.
 Sensor = Literal["field", "raw_field", "acceleration", "linear_acceleration", "gravity", "rate"]
 # What each is in, as apps write it, and how much of ours that is (T, m/s^2, rad/s).
-PER_UNIT: dict[Sensor, float] = {
-    "field": 1e-6, "raw_field": 1e-6, "acceleration": 1.0, "linear_acceleration": 1.0, "gravity": 1.0, "rate": 1.0,
-}  # fmt: skip
+PER_UNIT: dict[Sensor, float] = {of: TESLA_PER_UNIT["uT"] if "field" in of else 1.0 for of in get_args(Sensor)}
 WORDS: dict[Sensor, str] = {
     "field": "magnetometer", "raw_field": "uncalibrated magnetometer", "acceleration": "accelerometer with gravity",
     "linear_acceleration": "accelerometer without gravity", "gravity": "gravity", "rate": "gyroscope",
 }  # fmt: skip
-# s; a clock set back further than this is no matter of late rows.
-MAX_STEP_BACK = 1.0
 # Readings (T, m/s^2, rad/s) beyond this are damage, stated in docs/formats.md; phones read up to 5 mT, 160 m/s^2 and
 # 35 rad/s.
 LARGEST = 1e5
@@ -120,14 +117,14 @@ class PhoneLog:
 
 def stream_of(path: Path, source: str, times: Scalars, values: Vectors, lines: Indices) -> Stream:
     """Readings in the order of their times; of equal times the first stays."""
-    for name, column, bound in (("time", times, LATEST), *(("xyz"[k], v, LARGEST) for k, v in enumerate(values.T))):
+    for name, column, bound in (("time", times, DAMAGED), *(("xyz"[k], v, LARGEST) for k, v in enumerate(values.T))):
         row = int(np.argmax(np.abs(column)))
         if abs(column[row]) > bound:
             message = f"expected numbers of phones (below {bound:g} in SI units), found {column[row]:.4g}"
             raise DataFormatError(path, message, line=int(lines[row]), column=name)
     behind = np.maximum.accumulate(times) - times
-    if len(times) and behind.max() > MAX_STEP_BACK:
-        row = int(np.argmax(behind > MAX_STEP_BACK))
+    if len(times) and behind.max() > CLOCKS_APART:
+        row = int(np.argmax(behind > CLOCKS_APART))
         message = (
             f"time runs backward by {behind[row]:.4g} s: {told(times[row])} s; two logs joined, a clock that was "
             "set, or rows in disorder (sort them by time)?"

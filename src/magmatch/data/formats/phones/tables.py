@@ -14,6 +14,7 @@ from magmatch.data.tables.number_marks import decimal_of_cells
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import Rows, listed, rows_of
+from magmatch.data.units import DIGITS_OF_SECOND, TimeUnit
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -37,8 +38,10 @@ _PHYPHOX = re.compile(r"(?P<what>.*?)\s*\b(?P<axis>[xyz]) \((?P<unit>[^()]*)\)")
 _UNITS: Mapping[str, Sensor] = {
     "µt": "field", "μt": "field", "ut": "field", "m/s^2": "acceleration", "m/s²": "acceleration", "rad/s": "rate",
 }  # fmt: skip
-# Of these two apps: how a table calls its times, which are in 10**-digits s.
-_TIMES: Mapping[str, tuple[str, int]] = {"phyphox": ("time (s)", 0), "AndroSensor": ("time since start in ms", 3)}
+# Of these two apps: how a table calls its times, and what they are in.
+_TIMES: Mapping[str, tuple[str, TimeUnit]] = {
+    "phyphox": ("time (s)", "s"), "AndroSensor": ("time since start in ms", "ms"),
+}  # fmt: skip
 _ANDROID_TIME = "event.timestamp"
 _ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
 _ANDROID_VALUE = re.compile(r"(?:event\.)?values?[\[_.]?([0-2])\]?|(?:event\.)?([xyz])")
@@ -174,7 +177,7 @@ def _digits_of_times(app: str, times: Scalars) -> int:
     if app == "Sensor Logger":
         return 9
     if app in _TIMES or len(times) < 2:
-        return _TIMES.get(app, ("", 0))[1]
+        return DIGITS_OF_SECOND[_TIMES.get(app, ("", "s"))[1]]
     interval = float(np.median(np.abs(np.diff(times))))
     return next((digits for digits in (9, 6, 3) if interval >= 10.0**digits / 1e3), 0)
 

@@ -24,7 +24,7 @@ _HEAD = re.compile(rb"(?m)^\d{10,}\tTYPE_[A-Z0-9_]+\t")
 _FLOOR = re.compile(rb"(?m)^#.*\tFloorName:([^\t\r\n]+)")
 # Where a row follows another without a line end between, as in some of the published files.
 _JOINED = re.compile(r"(?=\d{13}\tTYPE_)")
-MS = 1 / UNITS_PER_SECOND["ms"]  # s
+MS = UNITS_PER_SECOND["ms"]
 
 
 def begins_like(head: bytes) -> bool:
@@ -36,7 +36,7 @@ def read(path: Path, raw: bytes, wanted: Collection[Sensor], *, recover: bool) -
     """Read the sensors that are wanted, on the clock of the phone."""
     blocks = _read(path, raw, {tag for tag, sensor in _TAGS.items() if sensor in wanted}, "xyz", recover)
     return {
-        _TAGS[tag]: stream_of(path, f"{tag} rows", block[:, 0] * MS, block[:, 1:] * PER_UNIT[_TAGS[tag]], lines)
+        _TAGS[tag]: stream_of(path, f"{tag} rows", block[:, 0] / MS, block[:, 1:] * PER_UNIT[_TAGS[tag]], lines)
         for tag, (block, lines) in blocks.items()
     }
 
@@ -47,7 +47,7 @@ def points(path: Path, raw: bytes, *, recover: bool) -> SurveyedPoints | None:
     if block is None or lines is None:
         return None
     floors = tuple(name.decode("utf-8", "replace") for name in _FLOOR.findall(raw)[:1])
-    return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0] * MS, block[:, 1:], lines, floors)
+    return SurveyedPoints.checked(path, f"{_POINT} rows", block[:, 0] / MS, block[:, 1:], lines, floors)
 
 
 def _read(
