@@ -61,7 +61,7 @@ def _axis_integrals() -> np.ndarray:
 
 
 def _at_gauss_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the splines on 0..1, [node, derivative, spline], and the weights that integrate their squares."""
+    """Give the splines' derivatives on 0..1, [node, derivative, spline], and weights that integrate their squares."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
     tables = np.zeros((4, 4, 4))
     for t, table in zip((nodes + 1) / 2, tables, strict=True):
