@@ -56,17 +56,16 @@ def smoothness_matrix(k: int) -> np.ndarray:
 @cache
 def _axis_integrals() -> np.ndarray:
     """Integrals over 0..1 of products of spline derivatives: [p, q, i, j] = int b_i^(p) b_j^(q)."""
-    tables, weights = _at_gauss_nodes()
-    return np.asarray(np.einsum("tpi,tqj,t->pqij", tables, tables, weights))
-
-
-def _at_gauss_nodes() -> tuple[np.ndarray, np.ndarray]:
-    """Give the splines' derivatives on 0..1, [node, derivative, spline], and weights that integrate their squares."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    tables = np.zeros((4, 4, 4))
-    for t, table in zip((nodes + 1) / 2, tables, strict=True):
-        spline_values(t, table)
-    return tables, weights / 2
+    t, weights, start = (nodes + 1) / 2, weights / 2, np.zeros((4, 4))
+    spline_values(0.0, start)
+    # Row i: coefficients (of 1, t, t^2, t^3) of the i-th spline, by Taylor.
+    coefficients, values = np.ascontiguousarray(start.T) / [factorial(k) for k in range(4)], []
+    for _ in range(4):
+        values.append(coefficients @ t[None] ** np.arange(4)[:, None])
+        coefficients = np.concatenate([coefficients[:, 1:] * np.arange(1, 4), np.zeros((4, 1))], axis=1)
+    v = np.array(values)
+    return np.asarray(np.einsum("pit,qjt,t->pqij", v, v, weights))
 
 
 def _tensor(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -116,7 +115,11 @@ def cell_weights(distance: np.ndarray) -> np.ndarray:
 
 def _average_over_cell(block: np.ndarray) -> np.ndarray:
     """Covariance of field and gradient from that of a cell's weights, averaged over the cell, made isotropic."""
-    tables, weights = _at_gauss_nodes()
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    t, weights = (nodes + 1) / 2, weights / 2
+    tables = np.zeros((4, 4, 4))
+    for i in range(4):
+        spline_values(t[i], tables[i])
     mean, rows = np.zeros((9, 9)), np.zeros((9, len(LOCAL_NODES)))
     for i, j, k in np.ndindex(4, 4, 4):
         derivative_rows(tables[i], tables[j], tables[k], derivative_table(1), 1.0, rows)
