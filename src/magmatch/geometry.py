@@ -5,6 +5,7 @@
 """
 
 from functools import reduce
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -23,6 +24,10 @@ LINEAR_TURN = 0.3
 # Steps that are looked at together; of every eighth of their samples jitter leaves an eighth of its path, steps at
 # random a third, and a path all of it.
 STOOD, EIGHTH, STANDS = 128, 8, 0.2
+# Unit vectors every way along the axes; and to corners, edges and faces of a cube.
+OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
+DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
 def rotation_matrix(T_base_target: RigidTransform) -> Matrix:

@@ -10,6 +10,7 @@ from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldFunction
+from magmatch.geometry import OCTAHEDRON
 from magmatch.typing import Mask, Points
 
 log = logging.getLogger(__name__)
@@ -21,7 +22,6 @@ WIDEST = 5.0
 _LEAST_SPREAD = 1e-9
 # Samples beside which the field is asked for, and how far beside, in the distance over which it changes.
 _N_ASKED, _BESIDE = 200, 0.5
-_DIRECTIONS = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 class FittedField(FieldFunction, Protocol):
@@ -38,7 +38,7 @@ class FittedField(FieldFunction, Protocol):
 def excess(fitted: FittedField, samples: Survey) -> str:
     """In words, that the field beside samples, as far as it counts as known, is none they make possible; or empty."""
     some = samples.positions[:: -(-len(samples) // _N_ASKED)]
-    beside = (some[:, None] + _BESIDE * fitted.hyperparameters.lengthscale * _DIRECTIONS).reshape(-1, 3)
+    beside = (some[:, None] + _BESIDE * fitted.hyperparameters.lengthscale * OCTAHEDRON).reshape(-1, 3)
     beside = beside[fitted.knows(beside)]
     mean = samples.field.mean(axis=0)
     spread = max(float(np.sqrt(((samples.field - mean) ** 2).mean())), _LEAST_SPREAD)

@@ -2,6 +2,7 @@
 """The active cells and spline nodes: those within reach of a sample, so that cost depends on the data."""
 
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -16,13 +17,15 @@ MAX_BOX_CELLS = 40_000_000
 # Two nodes interact when they touch a common cell: offsets -3..3 along each axis, 343 in all. Symmetric matrices
 # keep the second half, from the node itself on.
 STENCIL_REACH = 3
-FULL_STENCIL = (2 * STENCIL_REACH + 1) ** 3
+_STENCIL_SHAPE = (2 * STENCIL_REACH + 1,) * 3
+FULL_STENCIL = prod(_STENCIL_SHAPE)
 HALF_STENCIL = (FULL_STENCIL + 1) // 2
 
 # Nodes of a cell, from its first one.
 LOCAL_NODES = spanned_points([np.arange(4)] * 3)
+_FLAT = np.ravel_multi_index(tuple(LOCAL_NODES.T), _STENCIL_SHAPE)
 # [a, b], a <= b: place in the half stencil of the offset from the cell's node a to its node b.
-HALF_OFFSET = ((LOCAL_NODES[None] - LOCAL_NODES[:, None]) @ np.array([49, 7, 1])).astype(np.int64)
+HALF_OFFSET = _FLAT[None] - _FLAT[:, None]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

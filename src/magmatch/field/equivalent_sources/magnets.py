@@ -8,18 +8,17 @@ Magnets are found one by one, each where it explains most of the residual, and a
 import numpy as np
 from scipy.spatial import cKDTree
 
+from magmatch.geometry import DIRECTIONS, OCTAHEDRON
 from magmatch.typing import Indices, Matrix, Points, Scalars, Vectors
 
 # A magnet as charges on the corners of an octahedron and in its middle, of this size in its distance from the
 # samples: so its moment, and where it stands exactly, are left open.
-_CLUSTER, _CLUSTER_SIZE = np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))]), 0.2
+_CLUSTER, _CLUSTER_SIZE = np.vstack([OCTAHEDRON, np.zeros(3)]), 0.2
 
 _FEWEST_SAMPLES, _MOST_SAMPLES, _MOST_MAGNETS = 40, 1500, 32
 # Where a further one is looked for: around so many samples of large residuals, seen by so many neighbours each, in
 # the directions to the neighbours of a cube and at so many distances.
 _ANCHORS, _WITNESSES, _DISTANCES = 12, 80, 5
-_DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
-_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 # A magnet costs six numbers; they must be worth so many times their number. Whether it stays is asked again.
 _LEAST_WORTH = 2.0
 _STEPS, _LARGEST_STEP, _SETTLED = 8, 0.3, 1e-4
@@ -58,7 +57,7 @@ def _candidate(x: Points, residual: Vectors, tree: cKDTree, nearest: float, reac
     """Find the place where one dipole explains most of the residuals around it."""
     order = np.argsort(-(residual**2).sum(axis=1), kind="stable")
     anchors = order[:: max(1, len(order) // (10 * _ANCHORS))][:_ANCHORS]
-    offsets = (np.geomspace(nearest, reach, _DISTANCES)[:, None, None] * _DIRECTIONS).reshape(-1, 3)
+    offsets = (np.geomspace(nearest, reach, _DISTANCES)[:, None, None] * DIRECTIONS).reshape(-1, 3)
     at = x[anchors][:, None] + offsets
     rows = np.asarray(tree.query(x[anchors], k=min(_WITNESSES, len(x)))[1]).reshape(len(anchors), -1)
     gram, u = moment_equations(x, residual, rows, at)

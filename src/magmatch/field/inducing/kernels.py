@@ -9,7 +9,7 @@ fast evaluation on grids (`gaussian_grid`).
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
+from itertools import permutations, product
 from typing import ClassVar
 
 import numpy as np
@@ -49,10 +49,11 @@ def _alpha(axes: tuple[int, ...]) -> Alpha:
 
 
 # ``l^2/2 (grad grad^T - I lap)``: the divergence-free operator, scaled to unit variance.
-DIVERGENCE_FREE = (
-    *(Term(a, b, _alpha((a, b)), 0.5) for a, b in product(range(3), repeat=2) if a != b),
-    # On the diagonal d_a d_a - lap leaves minus the other two second derivatives.
-    *(Term(a, a, _alpha((k, k)), -0.5) for a, k in product(range(3), repeat=2) if a != k),
+# On the diagonal d_a d_a - lap leaves minus the other two second derivatives.
+DIVERGENCE_FREE = tuple(
+    term
+    for a, b in permutations(range(3), 2)
+    for term in (Term(a, b, _alpha((a, b)), 0.5), Term(a, a, _alpha((b, b)), -0.5))
 )
 # ``-l^2 grad grad^T``: covariance of the gradient of a Gaussian potential, scaled to unit variance.
 CURL_FREE = tuple(Term(a, b, _alpha((a, b)), -1.0) for a, b in product(range(3), repeat=2))

@@ -11,30 +11,18 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.field.values import FieldValues
 
-SPLINES_PER_CELL = 4**3
 
-# Row i: coefficients (of 1, t, t^2, t^3) of the i-th spline that touches the cell 0 <= t < 1.
-CUBIC_COEFFICIENTS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]], dtype=np.float64) / 6.0
-
-# Orders of differentiation of phi along x, y, z: its 3 first, 6 second and 10 third derivatives.
-FIRST = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1)])
-SECOND = np.array([(2, 0, 0), (1, 1, 0), (1, 0, 1), (0, 2, 0), (0, 1, 1), (0, 0, 2)])
-THIRD = np.array(
-    [(3, 0, 0), (2, 1, 0), (2, 0, 1), (1, 2, 0), (1, 1, 1), (1, 0, 2), (0, 3, 0), (0, 2, 1), (0, 1, 2), (0, 0, 3)]
-)
+def _derivatives(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct derivatives of an order: how often along x, y, z (n, 3); and which one is along axes (a, b, ...)."""
+    axes = np.sort(np.indices((3,) * order).reshape(order, -1).T, axis=1)
+    distinct, index = np.unique(axes, axis=0, return_inverse=True)
+    return np.array([np.bincount(along, minlength=3) for along in distinct]), index.reshape((3,) * order)
 
 
-def _index_of(derivatives: np.ndarray, n_axes: int) -> np.ndarray:
-    """Find the derivative along axes (a, b, ...) in a list of distinct derivatives."""
-    index = np.empty((3,) * n_axes, dtype=np.int64)
-    for axes in np.ndindex(index.shape):
-        orders = np.bincount(axes, minlength=3)
-        index[axes] = int(np.flatnonzero((derivatives == orders).all(axis=1))[0])
-    return index
-
-
-GRADIENT_INDEX = _index_of(SECOND, 2)
-SECOND_INDEX = _index_of(THIRD, 3)
+# Of phi, its 3 first, 6 second and 10 third derivatives.
+FIRST, _ = _derivatives(1)
+SECOND, GRADIENT_INDEX = _derivatives(2)
+THIRD, SECOND_INDEX = _derivatives(3)
 
 
 def derivative_table(order: int) -> np.ndarray:

@@ -10,9 +10,7 @@ import scipy.linalg
 from magmatch.field.cholesky.cells import LOCAL_NODES, ball_offsets
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_basis import (
-    CUBIC_COEFFICIENTS,
     GRADIENT_INDEX,
-    SPLINES_PER_CELL,
     derivative_rows,
     derivative_table,
     spline_values,
@@ -46,7 +44,7 @@ def prior_element(relative_lengthscale: float, divergence_weight: float) -> np.n
 @cache
 def smoothness_matrix(k: int) -> np.ndarray:
     """J_k, the integral of the squared k-th derivatives of psi over the unit cell: (64, 64)."""
-    integrals, J = _axis_integrals(), np.zeros((SPLINES_PER_CELL, SPLINES_PER_CELL))
+    integrals, J = _axis_integrals(), np.zeros((len(LOCAL_NODES), len(LOCAL_NODES)))
     for i in range(k + 1):
         for j in range(k - i + 1):
             n = k - i - j
@@ -59,8 +57,10 @@ def smoothness_matrix(k: int) -> np.ndarray:
 def _axis_integrals() -> np.ndarray:
     """Integrals over 0..1 of products of spline derivatives: [p, q, i, j] = int b_i^(p) b_j^(q)."""
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    t, weights = (nodes + 1) / 2, weights / 2
-    coefficients, values = CUBIC_COEFFICIENTS, []
+    t, weights, start = (nodes + 1) / 2, weights / 2, np.zeros((4, 4))
+    spline_values(0.0, start)
+    # Row i: coefficients (of 1, t, t^2, t^3) of the i-th spline, by Taylor.
+    coefficients, values = np.ascontiguousarray(start.T) / [factorial(k) for k in range(4)], []
     for _ in range(4):
         values.append(coefficients @ t[None] ** np.arange(4)[:, None])
         coefficients = np.concatenate([coefficients[:, 1:] * np.arange(1, 4), np.zeros((4, 1))], axis=1)
@@ -70,13 +70,13 @@ def _axis_integrals() -> np.ndarray:
 
 def _tensor(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Product of three matrices of one axis each, in the numbering of a cell's splines."""
-    return np.asarray(np.einsum("ai,bj,ck->abcijk", x, y, z).reshape(SPLINES_PER_CELL, SPLINES_PER_CELL))
+    return np.asarray(np.einsum("ai,bj,ck->abcijk", x, y, z).reshape(len(LOCAL_NODES), len(LOCAL_NODES)))
 
 
 @cache
 def divergence_matrix() -> np.ndarray:
     """L, the integral of the squared Laplacian of psi over the unit cell: (64, 64)."""
-    integrals, L = _axis_integrals(), np.zeros((SPLINES_PER_CELL, SPLINES_PER_CELL))
+    integrals, L = _axis_integrals(), np.zeros((len(LOCAL_NODES), len(LOCAL_NODES)))
     twice = 2 * np.eye(3, dtype=int)
     for p in twice:
         for q in twice:
@@ -96,7 +96,7 @@ def lone_cell_covariance(relative_lengthscale: float, divergence_weight: float, 
     width = cells.max(axis=0) + 4
     touched = (cells[:, None] + LOCAL_NODES).reshape(-1, 3)
     nodes, flat = np.unique(np.ravel_multi_index(tuple(touched.T), tuple(width)), return_inverse=True)
-    flat = flat.reshape(-1, SPLINES_PER_CELL)
+    flat = flat.reshape(-1, len(LOCAL_NODES))
     Q = np.zeros((len(nodes), len(nodes)))
     E = prior_element(relative_lengthscale, divergence_weight)
     distance = np.sqrt((offsets**2).sum(axis=1))
@@ -120,7 +120,7 @@ def _average_over_cell(block: np.ndarray) -> np.ndarray:
     tables = np.zeros((4, 4, 4))
     for i in range(4):
         spline_values(t[i], tables[i])
-    mean, rows = np.zeros((9, 9)), np.zeros((9, SPLINES_PER_CELL))
+    mean, rows = np.zeros((9, 9)), np.zeros((9, len(LOCAL_NODES)))
     for i, j, k in np.ndindex(4, 4, 4):
         derivative_rows(tables[i], tables[j], tables[k], derivative_table(1), 1.0, rows)
         mean += weights[i] * weights[j] * weights[k] * rows @ block @ rows.T
