@@ -5,7 +5,6 @@
 """
 
 from functools import reduce
-from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -26,7 +25,7 @@ LINEAR_TURN = 0.3
 STOOD, EIGHTH, STANDS = 128, 8, 0.2
 # Unit vectors every way along the axes; and to corners, edges and faces of a cube.
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
-DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
+DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 
