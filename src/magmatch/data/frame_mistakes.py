@@ -8,7 +8,7 @@ rotation between them. Reversing all three axes changes no scatter: the 48 ways 
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.units import CLOCKS_APART, ORDINARY_FIELD
-from magmatch.geometry import GENERATORS, LINEAR_TURN, unit_vectors
+from magmatch.geometry import DIRECTIONS, GENERATORS, LINEAR_TURN
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Scatter with a mistake undone over that as declared, below which it was made: what is declared gets the benefit of a
@@ -46,8 +46,6 @@ def named(axes: np.ndarray) -> str:
 
 # The 24 permutations and signs of the axes that stay right-handed.
 AXES = {named(axes): axes for axes in np.rint(Rotation.create_group("O").as_matrix())}
-# Unit vectors every way: to corners, edges and faces of a cube.
-DIRECTIONS = unit_vectors(np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -27,7 +27,7 @@ class Bending:
         return np.asarray(np.einsum("nia,mnab,mjb->nimj", skew(field), by_turns, skew(field), optimize=True))
 
 
-class Drift(NamedTuple):
+class WalkDrift(NamedTuple):
     """A drift that a walk may have: a model of its pose."""
 
     rate: float  # m/sqrt(m)

@@ -37,7 +37,7 @@ from magmatch.estimation.walk_rows import residual_rows
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.weigh.bending import Bending, Drift, bending_of
+from magmatch.registration.weigh.bending import Bending, WalkDrift, bending_of
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
 from magmatch.typing import Mask, Matrix, Scalars, Vector3
 
@@ -100,7 +100,7 @@ class BendingWalk:
         The map's errors differ from pose to pose over a correlation length. A pose that is refined moves by less, so
         they are evaluated where it starts, and for the best few anew where they stand.
         """
-        middle = Drift(RATES[len(RATES) // 2], self.bendings[0])
+        middle = WalkDrift(RATES[len(RATES) // 2], self.bendings[0])
         coarse = distinct(
             in_order(self._fit(T, middle, self._map_errors(T), COARSE_STEPS) for T in starts),
             pose_inaccuracy(self.length)[::-1],
@@ -113,7 +113,7 @@ class BendingWalk:
                 found: LineEvidence | None = one
                 # A walk that bends less has the narrower optimum.
                 for rate in reversed(RATES):
-                    found = self._fit((found or one).T_base_target, Drift(rate, bending), errors)
+                    found = self._fit((found or one).T_base_target, WalkDrift(rate, bending), errors)
                     fine.append(found)
         return in_order([*fine, *coarse[len(some) :]])
 
@@ -122,7 +122,7 @@ class BendingWalk:
         return np.asarray(self.walk.positions.mean(axis=0))
 
     def _fit(
-        self, start: RigidTransform, drift: Drift, errors: np.ndarray, n_steps: int = MOST_STEPS
+        self, start: RigidTransform, drift: WalkDrift, errors: np.ndarray, n_steps: int = MOST_STEPS
     ) -> LineEvidence | None:
         """Refine a pose and the walk's shape, given the map's errors there; both are integrated out.
 
@@ -144,7 +144,9 @@ class BendingWalk:
                 break
         return self._evidence(best, drift)
 
-    def _compare(self, R: Matrix, p: Vector3, bent: Matrix, drift: Drift, errors: np.ndarray) -> "_Comparison | None":
+    def _compare(
+        self, R: Matrix, p: Vector3, bent: Matrix, drift: WalkDrift, errors: np.ndarray
+    ) -> "_Comparison | None":
         """Compare the walk with the base at a pose; None where too little of it lies inside."""
         known, rows, slopes = self._rows(R, p, bent)
         if known.sum() < MIN_BINS:
@@ -173,7 +175,7 @@ class BendingWalk:
         fit = float(self.null.noise.factor(chi2, len(r))[1])
         return _Comparison(R, p, known, chi2, fit, occam, told, prior, step, bent, most_likely)
 
-    def _evidence(self, found: "_Comparison", drift: Drift) -> LineEvidence:
+    def _evidence(self, found: "_Comparison", drift: WalkDrift) -> LineEvidence:
         """Integrate the pose out."""
         n_free = 3 * int(found.known.sum()) - 6
         inflation = float(self.null.noise.factor(found.chi2, n_free)[0])
