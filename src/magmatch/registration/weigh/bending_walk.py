@@ -16,7 +16,6 @@ The null model has the walk's turns, too: they change its field wherever it is.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -90,7 +89,7 @@ class BendingWalk:
         """State how the walk may bend, and its null models with the noise of a bin."""
         noise = noise_of_bins(base.noise_sd, length)
         bendings = tuple(bending_of(walk.positions, turns) for turns in TURNS)
-        turned = np.stack([rate**2 * bending.turned(walk.field) for rate, bending in product(RATES, bendings)])
+        turned = np.stack([rate**2 * one.turned(walk.field) for one in bendings for rate in one.turns.rates])
         null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, length)
         return cls(base, walk, length, prior, config, null, replace(null, turned=turned), bendings)
 
@@ -112,7 +111,7 @@ class BendingWalk:
             for bending in self.bendings:
                 found: LineEvidence | None = one
                 # A walk that bends less has the narrower optimum.
-                for rate in reversed(RATES):
+                for rate in reversed(bending.turns.rates):
                     found = self._fit((found or one).T_base_target, WalkDrift(rate, bending), errors)
                     fine.append(found)
         return in_order([*fine, *coarse[len(some) :]])
