@@ -107,7 +107,7 @@ def is_line(survey: Survey, length: float) -> bool:
 def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants"]:
     """Choose the search for a target: pairs of points if it is a short line, a frame at every point otherwise."""
     # A long line crosses itself and fills areas: that is breadth of another kind.
-    return "pairs" if is_line(target, length) and is_short(target, length) else "invariants"
+    return "pairs" if is_short(target, length) and is_line(target, length) else "invariants"
 
 
 def is_short(survey: Survey, length: float) -> bool:

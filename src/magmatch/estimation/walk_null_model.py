@@ -52,12 +52,6 @@ class UnrelatedWalk:
 
     def _averaged(self, rows: Indices) -> float:
         """Average over lengthscales and strengths, those of calm places too, and over how orientations drift."""
-        found = [self._most_likely(rows, turned) for turned in (None, self.turned)[: 1 + (self.turned is not None)]]
-        return float(np.logaddexp.reduce(found) - np.log(len(found)))
-
-    def _most_likely(self, rows: Indices, turned: np.ndarray | None) -> float:
-        """Give the same with orientations that are true, or that drift; few values tell what is most likely."""
-        some = even_choice(len(rows), FEW_POINTS if turned is None else FEW_POINTS // 3)
         field = self.walk.field[rows]
         spread2 = float(field.var(axis=0).mean()) + self.noise.nugget_sd**2
         square = float((field**2).sum(axis=1).mean()) / 3
@@ -65,24 +59,32 @@ class UnrelatedWalk:
         distance = self.distance[np.ix_(rows, rows)]
         errors = self.noise.isotropic(distance, np.zeros(len(rows))) + constant
         errors += 2 * square * self.noise.attitude_sd**2 * np.exp(-distance / self.noise.drift_length)
-        scales = product(LENGTHSCALES, STRENGTHS, range(1 if turned is None else len(turned)))
-        tried = np.array([(f * self.length, s**2 * spread2, k) for f, s, k in scales])
 
-        def log_likelihoods(at: Indices, tried: Matrix) -> Scalars:
-            length, variance, _ = tried.T[:, :, None, None]
-            K = rational_quadratic(distance[np.ix_(at, at)] ** 2, length, variance) + errors[np.ix_(at, at)]
-            values = field[at] - mean
-            if turned is not None:
-                C = turned[:, rows[at]][:, :, :, rows[at]][tried[:, 2].astype(np.int64)]
-                for i in range(3):
-                    C[:, :, i, :, i] += K
-                K, values = C.reshape(len(C), values.size, values.size), values.reshape(-1, 1)
-            return _log_likelihoods(values, K, self.noise)
+        def average(turned: np.ndarray | None, n_some: int) -> float:
+            """Average for orientations that are true, or that drift; a few bins tell what is most likely."""
+            scales = product(LENGTHSCALES, STRENGTHS, range(1 if turned is None else len(turned)))
+            tried = np.array([(f * self.length, s**2 * spread2, k) for f, s, k in scales])
 
-        found = log_likelihoods(some, tried)
-        most_likely = tried[[int(found.argmax())]]
-        favour = float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
-        return float(log_likelihoods(np.arange(len(rows)), most_likely)[0]) - favour
+            def log_likelihoods(at: Indices, tried: Matrix) -> Scalars:
+                length, variance, _ = tried.T[:, :, None, None]
+                K = rational_quadratic(distance[np.ix_(at, at)] ** 2, length, variance) + errors[np.ix_(at, at)]
+                values = field[at] - mean
+                if turned is not None:
+                    C = turned[:, rows[at]][:, :, :, rows[at]][tried[:, 2].astype(np.int64)]
+                    for i in range(3):
+                        C[:, :, i, :, i] += K
+                    K, values = C.reshape(len(C), values.size, values.size), values.reshape(-1, 1)
+                return _log_likelihoods(values, K, self.noise)
+
+            found = log_likelihoods(even_choice(len(rows), n_some), tried)
+            most_likely = tried[[int(found.argmax())]]
+            favour = float(found.max() - np.logaddexp.reduce(found) + np.log(len(found)))
+            return float(log_likelihoods(np.arange(len(rows)), most_likely)[0]) - favour
+
+        alike = average(None, FEW_POINTS)
+        if self.turned is None:
+            return alike
+        return float(np.logaddexp(alike, average(self.turned, FEW_POINTS // 3)) - np.log(2))
 
 
 def _log_likelihoods(values: Vectors, K: np.ndarray, noise: PathNoise) -> Scalars:

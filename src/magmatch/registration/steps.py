@@ -123,7 +123,7 @@ def strategies(
         yield walk
     if config.search != "pairs":
         yield MapStrategy.of(target, config, seed, clock)
-    if config.search == "auto" and search != "pairs" and (is_line(samples, length) or is_short(samples, length)):
+    if config.search == "auto" and search != "pairs" and (is_short(samples, length) or is_line(samples, length)):
         yield walk
 
 
