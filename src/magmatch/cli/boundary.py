@@ -12,7 +12,7 @@ import typer
 from magmatch.cli.narration import Narrator, say
 from magmatch.errors import MagmatchError, TaskError
 
-DONE, FAULT, BAD_INPUT, NOT_ACCEPTED, INTERRUPTED, READER_LEFT = *range(4), 130, 141
+DONE, FAULT, BAD_INPUT, NOT_ACCEPTED, INTERRUPTED, READER_LEFT = 0, 1, 2, 3, 130, 141
 
 # Errors that the user can correct (names, permissions); all other system errors are the machine's.
 USER_ERRNOS = {

@@ -24,8 +24,6 @@ MOST_ODDS = 12.0
 # Share of a closure's covariance that is each window's own: how its path bends, what its sensor saw. Errors of
 # simulated closures correlate by so much where they share a window.
 COMMON = 1 / 3
-# Rounds of what each makes the next possible: search, and cutting parts.
-MOST_ROUNDS = 4
 # Passes that a window is compared with. Its closures have an error in common, so n of them tell 3 n / (n + 1) times
 # what one tells (`counted`): four tell four fifths of all.
 MOST_PASSES = 4

@@ -14,7 +14,7 @@ from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
-from magmatch.geometry import ROUNDING, covariance_about, log_se3, path_walked, rotation_matrix
+from magmatch.geometry import covariance_about, log_se3, path_walked, rotation_matrix
 from magmatch.progress import Progress, counted, followed
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
@@ -23,7 +23,6 @@ from magmatch.registration.maps import as_map, require_target, survey_of
 from magmatch.registration.register import register
 from magmatch.runner import Runner, Shared, Workers
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.decide.shared_frame_odds import N_DRAWS
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
@@ -36,8 +35,12 @@ from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
 
+# No probability is nearer to one than this: odds stay finite.
+LEAST_ERROR = 1e-12
 # An accepted registration: T_base_target, its covariance and probability.
 Registered = tuple[RigidTransform, Covariance6, float]
+# Trees of closures tried for a start.
+N_TREES = 64
 
 
 def merge(
@@ -136,8 +139,7 @@ def _closure(a: int, b: int, found: Registered, center_a: Vector3, center_b: Vec
     """A registration as a closure between centroids: about its frame's origin, far away, a turn would be a shift."""
     T_base_target, covariance, probability = found
     T = RigidTransform.from_translation(-center_a) * T_base_target * RigidTransform.from_translation(center_b)
-    # No probability is nearer to one: odds stay finite.
-    p = min(probability, 1 - ROUNDING)
+    p = min(probability, 1 - LEAST_ERROR)
     odds = float(np.log(p / (1 - p)))
     return Closure(a, b, T, covariance_about(covariance, center_b), odds)
 
@@ -167,7 +169,7 @@ def _lay_out(graph: PoseGraph) -> None:
     rng, n = np.random.default_rng(0), len(graph.p)
     odds = graph.as_arrays.odds
     best, most = None, -np.inf
-    for k in range(N_DRAWS if n > 2 else 1):
+    for k in range(N_TREES if n > 2 else 1):
         order = np.argsort(-odds if k == 0 else rng.permutation(len(odds)), kind="stable")
         poses = _tree(graph, [graph.closures[c] for c in order])
         # Along a tree errors add up: a closure outside it is off by those of up to n.

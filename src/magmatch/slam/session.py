@@ -21,7 +21,6 @@ from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.map import FieldMap
-from magmatch.preparation.least_squares import CLEARLY
 from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
@@ -32,7 +31,7 @@ from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import most_contradicted
-from magmatch.slam.graph.switchable_constraints import strains
+from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.loop_search import KINDS
@@ -302,7 +301,7 @@ class Session:
         groups = [[names[k] for k in group] for group in self.components]
         windows = [] if self._now.maker is None else [w for path in self.paths for w in path.windows]
         guess = None if self.is_rigid else guessed_drift(self.graph, self._now.stated, self.logs)
-        bent_logs = [names[k] for k in np.flatnonzero(strains(self.graph) > CLEARLY)]
+        bent_logs = [names[k] for k in np.flatnonzero(strains(self.graph) > MOST_BENT)]
         n_rejected, bent = len(closures) - n_kept, bent_window(windows)
         live = [] if self._live is None or len(self.paths) == len(self.given) else [self._live.survey()]
         return SlamResult(

@@ -17,7 +17,6 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.geometry import ROUNDING, path_moved, path_walked
 from magmatch.registration.prepared.prepared_map import correlation_length_of
-from magmatch.slam.config import MOST_ROUNDS
 from magmatch.slam.windows import PART_LENGTH
 
 # Parts looked at, their length in lengthscales and most samples of each.
@@ -25,6 +24,8 @@ N_PARTS = 8
 MOST_SAMPLES = 400
 # Logs that are looked at: of more, the medians are known well enough, and each part costs as much as a window.
 MOST_LOGS = 2 * N_PARTS
+# Parts too long are cut so often at most: of noise alone the lengthscale falls for ever.
+MOST_CUTS = 4
 # What the prior expects is computed on a path of so many field lengths, at so many points, of samples with so much
 # more noise that they say nothing.
 TUBE_LENGTH, N_POINTS, SILENT = 6.0, 20, 1e5
@@ -47,8 +48,7 @@ def shared_hyperparameters(surveys: Sequence[Survey], n_parts: int = N_PARTS) ->
             # What the parts before showed is where the next begins: most fit at once.
             known = float(np.median([h.lengthscale for h in found])) if found else np.inf
             part = min(walked[-1] / N_PARTS, PART_LENGTH * known)
-            # Parts too long are cut; of noise alone the lengthscale falls for ever.
-            for _ in range(MOST_ROUNDS):
+            for _ in range(MOST_CUTS):
                 h, length = _hyperparameters_of(_part(survey, walked, middle, part))
                 if part <= PART_LENGTH * h.lengthscale:
                     break

@@ -16,7 +16,7 @@ from magmatch.progress import counted
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner
 from magmatch.slam.begin import begin
-from magmatch.slam.config import LEAST_KEPT, MOST_ROUNDS, SURE, SlamConfig
+from magmatch.slam.config import LEAST_KEPT, SURE, SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
@@ -26,6 +26,8 @@ from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.windows import Path
 from magmatch.threads import single_threaded
 
+# Closures make others possible: maximum number of rounds of search.
+MOST_ROUNDS = 4
 # Closures that noise is learned from before the search proper: a tenth is left to what was guessed.
 ENOUGH = 9 * PRIOR_STRETCHES
 

@@ -16,7 +16,7 @@ from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.windows import Window
 from magmatch.typing import Points
 
-# Poses drawn, to see how likely a window is on known path; and trees of closures, for a start.
+# Poses drawn, to see how likely a window is on known path.
 N_DRAWS = 64
 
 

@@ -14,7 +14,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import ROUNDING, skew, transform_of
-from magmatch.preparation.least_squares import CLEARLY
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.block_cholesky import BlockCholesky, SelectedInverse
 from magmatch.slam.graph.factors import N_LASTING, Closure, ClosureArrays, Edges, FixedPoints, SubmapFactor
@@ -25,6 +24,8 @@ from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars,
 SURE = 1e-4
 # The same of what fixed points need not tell, such as where the frame of a single one points to: rad, m.
 FREE = 1e3
+# Standard deviations beyond which a difference is one.
+DISTINCT = 3.0
 # Nodes nearer than this along one log are one pass of a place, and are not compared: their windows adjoin.
 APART = 2
 
@@ -149,7 +150,7 @@ class PoseGraph:
         upright = self.config.is_gravity_aligned
         lengths = np.linalg.svd(apart[:, :2] if upright else apart, compute_uv=False)
         # About the vertical one direction tells the turn, in space it takes two.
-        return bool(lengths[0 if upright else 1 :].max(initial=0.0) > CLEARLY)
+        return bool(lengths[0 if upright else 1 :].max(initial=0.0) > DISTINCT)
 
     def is_fixed(self, node: int) -> bool:
         """Whether fixed points tell the frame that a node is in."""

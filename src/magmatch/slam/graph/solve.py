@@ -10,14 +10,15 @@ from scipy.spatial.transform import Rotation
 from magmatch.estimation.gauss_newton import perturbed
 from magmatch.estimation.pose_prior import UP
 from magmatch.geometry import LINEAR_TURN
-from magmatch.preparation.least_squares import MOST_STEPS
 from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.switchable_constraints import probabilities
 
-# The step size within which closures may lose weight, and the one that ends the iteration once weights settle, too.
-NEAR, SMALL = 1e-2, 1e-3
+# Most steps, the step size within which closures may lose weight, and the one that ends the iteration.
+MOST_STEPS, NEAR, SMALL = 40, 1e-2, 1e-3
+# Change of a closure's weight that ends it.
+SETTLED = 1e-2
 # Fixed points of which one may be wrong. To first order their surprise is by how much all else agrees better without
 # each, so the wrong one is among the first few; each takes a solution, and phones' logs hold hundreds.
 SUSPECTS = 16
@@ -40,7 +41,7 @@ def solve(graph: PoseGraph) -> None:
             before = graph.as_arrays.weight
             graph.weigh_closures(probabilities(graph, at_first=at_first))
             at_first, changed = False, np.abs(graph.as_arrays.weight - before).max()
-        if moved < SMALL and changed < NEAR:
+        if moved < SMALL and changed < SETTLED:
             break
     _bring_home(graph)
 

@@ -8,12 +8,16 @@ import numpy as np
 from scipy.special import expit
 
 from magmatch.slam.config import LEAST_KEPT
-from magmatch.slam.graph.block_cholesky import SIDE
 from magmatch.slam.graph.factors import Closure, ClosureArrays
 from magmatch.slam.graph.normal_equations import counted, odometry_steps, residual_between
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.typing import Scalars
 
+# Expected squared residual of a right closure.
+EXPECTED = 6.0
+# Standard deviations of the odometry, stated or learned, that a log bends by in the mean over what holds it: no drift
+# does so beyond.
+MOST_BENT = 3.0
 # Share of what the graph knows of a pair, beyond which it knows it from the closure itself.
 ITS_OWN = 0.99
 
@@ -28,7 +32,7 @@ def probabilities(graph: PoseGraph, *, at_first: bool) -> Scalars:
     closures, component = graph.as_arrays, graph.component()
     surprise, left = surprises(graph)
     # It is contradicted by what the graph has learned since it was found, or by itself, however far the graph bends.
-    more = np.maximum(surprise - np.maximum(closures.paid, SIDE), np.maximum(left - SIDE, 0.0))
+    more = np.maximum(surprise - np.maximum(closures.paid, EXPECTED), np.maximum(left - EXPECTED, 0.0))
     right = expit(closures.odds - 0.5 * more)
     is_out, was_in = right <= LEAST_KEPT, closures.is_kept
     waits = is_out & was_in & (more < more[is_out & was_in].max(initial=0.0) / 2)
@@ -46,10 +50,10 @@ def strains(graph: PoseGraph) -> Scalars:
         chi2 += np.bincount(edges.log, np.einsum("em,emk,ek->e", r, P, r), n)
     one, other = graph.log[closures.first], graph.log[closures.second]
     weight = closures.weight * np.where(one == other, 0.5, 1.0)
-    n_bent = SIDE * (np.bincount(one, weight, n) + np.bincount(other, weight, n))
+    n_bent = EXPECTED * (np.bincount(one, weight, n) + np.bincount(other, weight, n))
     if graph.fixed is not None:
         n_bent += 3 * np.bincount(graph.log[graph.fixed.one], minlength=n)
-    return np.asarray(np.sqrt(chi2 / np.maximum(n_bent, SIDE)))
+    return np.asarray(np.sqrt(chi2 / np.maximum(n_bent, EXPECTED)))
 
 
 def surprises(graph: PoseGraph) -> tuple[Scalars, Scalars]:
