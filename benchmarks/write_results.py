@@ -6,9 +6,9 @@
     python benchmarks/write_results.py --release    # fails also where a table is older than the code it covers
 
 A page has ``<!-- table: NAME -->`` where a table begins and ``<!-- end -->`` where it ends. ``<!-- short table: NAME
-{"columns": [...], "where": {COLUMN: [CELLS]}} -->`` takes some columns and rows, without heading and note. A table is
-older than the code where what it covers differs from its commit: in the folder, so that a page and the change that
-ages its tables can be one commit.
+{"columns": [...], "where": {COLUMN: [CELLS]}, "counts": [...], "n": COLUMN} -->`` takes some columns and rows,
+without heading and note, and puts 95 % intervals behind counts of n. A table is older than the code where what it
+covers differs from its commit: in the folder, so that a page and the change that ages its tables can be one commit.
 """
 
 import json
@@ -21,10 +21,12 @@ from pathlib import Path
 
 from magmatch_evaluation.saved_table import FOLDER, ResultTable, markdown_table
 from magmatch_evaluation.script import arguments
+from magmatch_evaluation.statistics import wilson_interval
 
 PAGES = (Path("README.md"), Path("docs") / "results.md")
 MARK = re.compile(r"(<!-- (short )?table: ([\w-]+) ?(\{.*?\})? ?-->\n).*?(<!-- end -->)", re.DOTALL)
 NOT_RECORDED = "not recorded"
+COUNT = re.compile(r"^(\d+)( of \d+| \(\d+%\))?")  # at the beginning of a cell
 
 
 @dataclass(frozen=True)
@@ -76,14 +78,32 @@ def whole(table: ResultTable, history: History) -> str:
     return "\n\n".join(block for block in blocks if block)
 
 
-def short(table: ResultTable, history: History, columns: list[str], where: dict[str, list[str]]) -> str:
-    """Lay out some columns and rows of a table."""
-    place = {name: table.columns.index(name) for name in (*columns, *where)}
-    rows = [row for row in table.rows if all(row[place[name]] in cells for name, cells in where.items())]
-    if not rows:
+def with_interval(cell: str, n: int) -> str:
+    """Put the 95 % interval of its rate behind a count of n."""
+
+    def counted(found: re.Match[str]) -> str:
+        k = int(found.group(1))
+        low, high = wilson_interval(k, n)
+        return f"{k} of {n} ({100 * low:.0f}-{100 * high:.0f} %)"
+
+    return COUNT.sub(counted, cell)
+
+
+def short(
+    table: ResultTable, history: History, columns: list[str], where: dict[str, list[str]], counts: list[str], n: str
+) -> str:
+    """Lay out some columns and rows of a table; counts are of column n, or of what another cell of the row says."""
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    cells = []
+    for row in rows:
+        if not all(row[name] in some for name, some in where.items()):
+            continue
+        of = row.get(n) or next(iter(re.findall(r"\d of (\d+)", " ".join(row.values()))), "0")
+        shown = [with_interval(row[name], int(of)) if name in counts else row[name] for name in columns]
+        cells.append([re.sub("^nan .*", "-", cell) for cell in shown])
+    if not cells:
         message = f"no row of {table.title!r} is where {where}"
         raise ValueError(message)
-    cells = [[row[place[name]] for name in columns] for row in rows]
     return f"{markdown_table(columns, cells)}\n\n{table.title}: {caption(table, history)}"
 
 
@@ -95,7 +115,7 @@ def filled(page: str, tables: dict[str, ResultTable], history: History) -> str:
         table = tables.get(name)
         if table is None:
             return found.group()
-        chosen = {"columns": list(table.columns), "where": {}} | json.loads(options or "{}")
+        chosen = {"columns": list(table.columns), "where": {}, "counts": [], "n": "n"} | json.loads(options or "{}")
         text = short(table, history, **chosen) if is_short else f"\n{whole(table, history)}\n"
         return f"{begin}{text}\n{end}"
 

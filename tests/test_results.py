@@ -6,6 +6,7 @@ import subprocess
 import sys
 from argparse import ArgumentTypeError
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from io import StringIO
 from unittest.mock import patch
 
@@ -78,6 +79,30 @@ def test_a_page_gets_tables_with_what_printed_them(root):
     assert "### Errors\n\nIn mm.\n\n| case | error |\n| --- | --- |\n| room | 1.0 |\n| walk | 2.0 |\n" in page(root)
     assert f"One run. `python b.py`; commit {commits[0][:7]}, 2026-01-02. m." in page(root)
     assert "| error |\n| --- |\n| 2.0 |\n" in (root / "README.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("cell", "shown"),
+    [
+        ("19 of 20 within 5 mm", "19 of 20 (76-99 %) within 5 mm"),
+        ("19", "19 of 20 (76-99 %)"),
+        ("19 (95%), or refused: 1", "19 of 20 (76-99 %), or refused: 1"),
+        ("-", "-"),
+    ],
+)
+def test_counts_are_shown_with_what_they_are_of_and_the_interval_of_their_rate(cell, shown):
+    assert write_results.with_interval(cell, 20) == shown
+
+
+@pytest.mark.parametrize("columns", [["n", "right"], ["right", "found"]])
+def test_a_row_says_what_its_counts_are_of(root, columns):
+    cells = ["20" if name == "n" else "0 of 20" if name == "found" else "0" for name in columns]
+    made = table([]).load(root / "benchmarks" / "results" / "errors.json")
+    save(root, replace(made, columns=columns, rows=[cells]))
+    short = '<!-- short table: errors {"columns": ["right"], "counts": ["right"]} -->\n<!-- end -->\n'
+    (root / "README.md").write_text(short)
+    results(root)
+    assert "| 0 of 20 (0-16 %) |" in (root / "README.md").read_text()
 
 
 def test_a_table_of_todays_code_passes_all_checks(root):
