@@ -73,6 +73,11 @@ class PathNoise:
         return self.n_stretches >= PRIOR_STRETCHES
 
     @property
+    def drift_rate(self) -> float:
+        """Rate at which each of two walks drifts, at first, m/sqrt(m)."""
+        return float(self.drift_sd / np.sqrt(self.drift_length))
+
+    @property
     def total_sd(self) -> float:
         """Standard deviation of one component between two walks through one place, without drift, T."""
         return float(np.sqrt(self.misfit_sd**2 + self.nugget_sd**2 + self.constant_sd**2))

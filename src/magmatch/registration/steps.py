@@ -9,7 +9,8 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.posterior import Answer, Hypothesis, answers_of, posterior_of
-from magmatch.estimation.walk import choose_search, is_line, is_short
+from magmatch.estimation.walk import choose_search
+from magmatch.field.folds import has_path_order
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
 from magmatch.published.register import register as register_published
@@ -114,8 +115,8 @@ def strategies(
 ) -> Iterator[Strategy]:
     """Compare as a walk if samples are a line, short in the base's correlation lengths; otherwise, or next, as a map.
 
-    A long line that turns and crosses itself may cover an area, so it is tried as a map first and as a walk next.
-    The target is mapped only when that strategy is used.
+    A path that turns and crosses itself may cover an area, so it is tried as a map first. A map blends what drifted
+    apart, so next the path is compared as a walk. The target is mapped only when that strategy is used.
     """
     search = choose_search(samples, length) if config.search == "auto" else config.search
     walk = WalkStrategy(target, samples, config, seed)
@@ -123,7 +124,7 @@ def strategies(
         yield walk
     if config.search != "pairs":
         yield MapStrategy.of(target, config, seed, clock)
-    if config.search == "auto" and search != "pairs" and (is_short(samples, length) or is_line(samples, length)):
+    if config.search == "auto" and search != "pairs" and has_path_order(samples.positions):
         yield walk
 
 

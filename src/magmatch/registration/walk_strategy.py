@@ -58,14 +58,12 @@ class WalkStrategy:
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, self.config.walks.search, rng)
 
     def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> list[LineEvidence]:
-        """Generalised least squares, with the covariance of residuals learned from this base's own stretches."""
+        """Generalised least squares, with what this base's own stretches show of residuals, and with more drift."""
         walks, config = pair.base, self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, walks.length, pair.prior, config)
-        if walks.noise.is_learned or not ranked:
+        if not ranked:
             return ranked
-        # A base that passed each place once tells no more than its posterior does.
-        bending = BendingWalk.of(walks.base, pair.target, walks.length, pair.prior, config)
-        return bending.weigh([one.T_base_target for one in ranked])
+        return BendingWalk.of(walks.base, pair.target, walks.noise, walks.length, pair.prior, config).weigh(ranked)
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
@@ -81,7 +79,7 @@ class WalkStrategy:
 
     def bend(self, pair: WalkPair, pose: LineEvidence) -> Bend | None:
         """The difference between the halves' poses along the path."""
-        if not pair.base.noise.is_learned:
-            return None  # bending is part of its covariance
+        if pose.bends:
+            return None  # it is part of its covariance
         walks, config, T = pair.base, self.config.walks.evidence, pose.T_base_target
         return bend_of_walk(walks.base, pair.target, T, walks.noise, walks.length, pair.prior, config)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A walk that bends, in a map that passed each place once."""
+"""A walk that bends, in a map that passed each place once, and in one that shows how walks drift there."""
 
 from dataclasses import replace
 
@@ -16,6 +16,7 @@ from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bending_walk import BendingWalk
+from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 from magmatch.simulation.config import SimulationConfig
 
 CONFIG = PRESETS["default"]
@@ -32,7 +33,7 @@ def weigher(index, target):
     """The weighing of a walk in a base, and their pair."""
     walks, pair = index.walks, WalkStrategy(target, target, CONFIG, 0).pair(index)
     assert not walks.noise.is_learned  # each place was passed once
-    return pair, BendingWalk.of(walks.base, pair.target, walks.length, pair.prior, CONFIG.walks.evidence)
+    return pair, BendingWalk.of(walks.base, pair.target, walks.noise, walks.length, pair.prior, CONFIG.walks.evidence)
 
 
 def test_a_walk_that_drifts_is_found_with_a_covariance_that_holds_its_drift(drifting):
@@ -47,7 +48,7 @@ def test_the_right_pose_has_evidence_and_one_beside_it_has_none(drifting):
     pair, index = drifting
     models, bending = weigher(index, pair.target)
     truth = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
-    found = bending.weigh([truth])
+    found = bending.at_each_drift([truth])
     # One hypothesis for each drift, of one answer.
     assert len({one.model for one in found}) == len(found) == sum(len(turns.rates) for turns in TURNS)
     (answer,), right = answers_of(found, (1.0, 0.3)), found[0]
@@ -56,7 +57,7 @@ def test_the_right_pose_has_evidence_and_one_beside_it_has_none(drifting):
     assert transform_error(right.T_base_target, truth, right.center)[0] < 0.3
     other = simulate("corridor", 402, SimulationConfig(pose_drift=0.05))
     models, bending = weigher(index, other.target)
-    wrong = bending.weigh([models.T_base_model.inv() * pair.T_base_target * models.T_target_model])
+    wrong = bending.at_each_drift([models.T_base_model.inv() * pair.T_base_target * models.T_target_model])
     assert all(one.log_evidence < 0 for one in wrong)
 
 
@@ -66,7 +67,8 @@ def test_residuals_without_bending_have_the_covariance_of_the_map_and_a_bin(drif
     base, x = index.base, bending.walk.positions[:3]
     bending = replace(bending, walk=replace(bending.walk, positions=x))
     errors = bending._map_errors(RigidTransform.identity())
-    turned = bending._rigid_covariance(np.eye(3), errors, np.ones(3, dtype=np.bool_))
+    unused = np.zeros(3), np.zeros((3, 3, 6))
+    turned = bending._rigid_covariance(np.eye(3), errors, np.ones(3, dtype=np.bool_), *unused)
     by_map = base.field_map.posterior.covariance(x)
     noise = bending.null.noise.nugget_sd**2 * np.eye(3)
     blocks = np.stack([turned[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(3)])
@@ -78,4 +80,43 @@ def test_nothing_is_weighed_outside_the_base(drifting):
     models, bending = weigher(index, pair.target)
     far = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
     far = type(far).from_translation([0.0, 0.0, 1e3]) * far
-    assert bending.weigh([far]) == []
+    assert bending.at_each_drift([far]) == []
+
+
+@pytest.fixture(scope="module")
+def walked_again():
+    """A corridor passed twice at its true positions, a blind walk through it, and what its stretches say of walks."""
+    true, blind = simulate("corridor", 401), simulate("corridor", 401, SimulationConfig(pose_drift=0.1))
+    field_map = build_map([true.base, true.target.transformed(true.T_base_target)], SPLINE)
+    index = prepare_index(field_map, CONFIG)
+    walks, pair = index.walks, WalkStrategy(blind.target, blind.target, CONFIG, 0).pair(index)
+    noise = replace(walks.noise, n_stretches=9)  # three, in so short a corridor
+    truth = pair.T_base_model.inv() * blind.T_base_target * pair.T_target_model
+    config = CONFIG.walks.evidence
+    rigid = weigh_walk(walks.base, pair.target, [truth], noise, walks.length, pair.prior, config)
+    return truth, rigid, BendingWalk.of(walks.base, pair.target, noise, walks.length, pair.prior, config)
+
+
+def test_a_walk_may_drift_more_than_the_bases_own_stretches_do(walked_again):
+    truth, rigid, bending = walked_again
+    found = bending.weigh(rigid)
+    assert found[0].bends
+    assert found[0].log_evidence > rigid[0].log_evidence + 20
+    xi = log_se3(found[0].T_base_target.inv() * truth)
+    assert transform_error(found[0].T_base_target, truth, found[0].center)[0] < 0.15
+    assert xi @ np.linalg.solve(found[0].covariance, xi) / 6 < 4
+
+
+def test_the_bases_own_stretches_stand_for_all_drifts_up_to_theirs(walked_again):
+    _, rigid, bending = walked_again
+    rates = [drift.rate for drifts in bending.drifts for drift in drifts]
+    assert min(rates) > bending.null.noise.drift_rate
+    assert bending.share == len(rates) / sum(len(turns.rates) for turns in TURNS)
+    (own,) = (one for one in bending.weigh(rigid) if not one.bends)
+    assert own.log_evidence == pytest.approx(rigid[0].log_evidence + np.log(1 - bending.share))
+
+
+def test_where_residuals_are_as_the_bases_stretches_say_no_drift_is_tried(walked_again):
+    _, rigid, bending = walked_again
+    as_expected = [replace(rigid[0], misfit=1.0)]
+    assert bending.weigh(as_expected) == as_expected

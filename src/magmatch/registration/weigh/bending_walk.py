@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses of a walk that bends, in a map whose errors are known by its posterior alone.
+"""Poses of a walk that bends along all of its path.
 
-Where a base passed each place once, no stretch of it can be held out to learn what residuals look like. Its posterior
+A walk's positions and orientations drift by random walks of unknown rate. Residuals ``r = b - R^T B_base(T y)`` are
+therefore normal with the covariance
+
+    k (C + G S G^T),
+
+C the covariance of a walk that does not bend, G the residuals' slopes with the bins' turns and shifts, S the
+covariance of these at one rate, k an unknown common factor. Where the base's own stretches could be held out, C is
+what they show of walks in this place, their own drift included. Where a base passed each place once, its posterior
 says which errors a map has beside a single pass: they are large, but smooth, so that the field along a second path
-follows from few unknowns. The walk's positions and orientations drift by random walks of unknown rate. Residuals
-``r = b - R^T B_base(T y)`` are therefore normal with the covariance
-
-    k (R^T K R + G S G^T + n^2 I),
-
-K the posterior's covariance between all bins, G the residuals' slopes with the bins' turns and shifts, S the
-covariance of these at one rate, n the noise of a bin, k an unknown common factor. The field is not linear over as far
-as a walk may drift, so its shape is fitted with the pose. Each rate, with each way to turn, is a model of the pose.
-The null model has the walk's turns, too: they change its field wherever it is.
+follows from few unknowns. Then ``C = R^T K R + n^2 I``, K the posterior's covariance between all bins, n the noise of
+a bin. The field is not linear over as far as a walk may drift, so its shape is fitted with the pose. Each rate, with
+each way to turn, is a model of the pose. The null model has the walk's turns, too: they change its field wherever it
+is.
 """
 
 from collections.abc import Sequence
@@ -36,7 +38,7 @@ from magmatch.estimation.walk_rows import residual_rows
 from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.weigh.bending import Bending, WalkDrift, bending_of
+from magmatch.registration.weigh.bending import WalkDrift, bending_of
 from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
 from magmatch.typing import Mask, Matrix, Scalars, Vector3
 
@@ -82,24 +84,47 @@ class BendingWalk:
     config: LineConfig
     null: UnrelatedWalk  # its noise is that of a bin, and how all residuals may be larger or smaller than stated
     turned_null: UnrelatedWalk  # the same, with the walk's turns: more work, so of final poses alone
-    bendings: tuple[Bending, ...]  # of the walk's bins, for each of `TURNS`
+    drifts: tuple[tuple[WalkDrift, ...], ...]  # that a walk may have, for each of `TURNS`, the largest first
+    share: float  # of all drifts: what they have of the prior; that of the base's own stretches has the rest
 
     @classmethod
-    def of(cls, base: PreparedMap, walk: Walk, length: float, prior: PosePrior, config: LineConfig) -> "BendingWalk":
-        """State how the walk may bend, and its null models with the noise of a bin."""
-        noise = noise_of_bins(base.noise_sd, length)
-        bendings = tuple(bending_of(walk.positions, turns) for turns in TURNS)
-        turned = np.stack([rate**2 * one.turned(walk.field) for one in bendings for rate in one.turns.rates])
+    def of(
+        cls, base: PreparedMap, walk: Walk, noise: PathNoise, length: float, prior: PosePrior, config: LineConfig
+    ) -> "BendingWalk":
+        """State how the walk may bend, more than the base's own stretches show, and its null models."""
+        bendings = [bending_of(walk.positions, turns) for turns in TURNS]
+        drifts = [[WalkDrift(rate, one) for rate in reversed(one.turns.rates)] for one in bendings]
+        n_drifts = sum(map(len, drifts))
+        if noise.is_learned:
+            own = max(noise.drift_rate, RATES[0])
+            drifts = [[one for one in some if one.rate > own] for some in drifts]
+        else:
+            noise = noise_of_bins(base.noise_sd, length)
         null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, length)
-        return cls(base, walk, length, prior, config, null, replace(null, turned=turned), bendings)
+        turned = [one.rate**2 * one.bending.turned(walk.field) for some in drifts for one in some[::-1]]
+        with_turns = replace(null, turned=np.stack(turned)) if turned else null
+        kept, share = tuple(tuple(some) for some in drifts), len(turned) / n_drifts
+        return cls(base, walk, length, prior, config, null, with_turns, kept, share)
 
-    def weigh(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
+    def weigh(self, rigid: Sequence[LineEvidence]) -> list[LineEvidence]:
+        """Weigh poses at each drift, beside those of a walk like the base's own stretches; best first.
+
+        Where the residuals of the best of these are as expected, nothing is left for a drift to explain.
+        """
+        own = list(rigid) if self.null.noise.is_learned else []
+        if own and (own[0].misfit <= 1 or not self.share):
+            return own
+        rest = float(np.log1p(-self.share)) if own else 0.0
+        likely = [replace(p, log_evidence=p.log_evidence + rest, attainable=p.attainable + rest) for p in own]
+        return in_order([*likely, *self.at_each_drift([one.T_base_target for one in rigid])])
+
+    def at_each_drift(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
         """Refine poses at one drift, and the best few at each; best first, without those outside the base.
 
         The map's errors differ from pose to pose over a correlation length. A pose that is refined moves by less, so
         they are evaluated where it starts, and for the best few anew where they stand.
         """
-        middle = WalkDrift(RATES[len(RATES) // 2], self.bendings[0])
+        middle = WalkDrift(RATES[len(RATES) // 2], self.drifts[0][0].bending)
         coarse = distinct(
             in_order(self._fit(T, middle, self._map_errors(T), COARSE_STEPS) for T in starts),
             pose_inaccuracy(self.length)[::-1],
@@ -108,11 +133,11 @@ class BendingWalk:
         fine: list[LineEvidence | None] = []
         for one in some:
             errors = self._map_errors(one.T_base_target)
-            for bending in self.bendings:
+            for drifts in self.drifts:
                 found: LineEvidence | None = one
                 # A walk that bends less has the narrower optimum.
-                for rate in reversed(bending.turns.rates):
-                    found = self._fit((found or one).T_base_target, WalkDrift(rate, bending), errors)
+                for drift in drifts:
+                    found = self._fit((found or one).T_base_target, drift, errors)
                     fine.append(found)
         return in_order([*fine, *coarse[len(some) :]])
 
@@ -147,7 +172,7 @@ class BendingWalk:
         self, R: Matrix, p: Vector3, bent: Matrix, drift: WalkDrift, errors: np.ndarray
     ) -> "_Comparison | None":
         """Compare the walk with the base at a pose; None where too little of it lies inside."""
-        known, rows, slopes = self._rows(R, p, bent)
+        known, sd, rows, slopes = self._rows(R, p, bent)
         if known.sum() < MIN_BINS:
             return None
         # What residuals would be if the walk were not bent, by their slopes where it is.
@@ -155,7 +180,7 @@ class BendingWalk:
         k = len(slopes)
         moved = drift.bending.shape[known] @ (drift.rate**2 * slopes.swapaxes(1, 2))
         moved = moved.swapaxes(0, 1).reshape(len(bent), 6, 3 * k)
-        C = self._rigid_covariance(R, errors, known) + (slopes @ moved[known]).reshape(3 * k, 3 * k)
+        C = self._rigid_covariance(R, errors, known, sd, slopes) + (slopes @ moved[known]).reshape(3 * k, 3 * k)
         factor = np.linalg.cholesky(C)
         white = solve_triangular(factor, rows, lower=True, check_finite=False)
         most_likely = moved @ solve_triangular(factor, white, lower=True, trans=1, check_finite=False)
@@ -194,29 +219,37 @@ class BendingWalk:
             misfit=float(np.sqrt(found.chi2 / n_free)),
             is_covered=found.known,
             model=drift.model,
+            bends=True,
         )
 
-    def _rows(self, R: Matrix, p: Vector3, bent: Matrix) -> tuple[Mask, Matrix, np.ndarray]:
-        """Bins inside the base (n,), their residuals with slopes by the pose (3 k, 7), and slopes by moves."""
+    def _rows(self, R: Matrix, p: Vector3, bent: Matrix) -> tuple[Mask, Scalars, Matrix, np.ndarray]:
+        """Bins inside the base, its sd there (k,), residuals with slopes by the pose (3 k, 7), slopes by moves."""
         y = self.walk.positions - self._center + bent[:, 3:]
-        _, _, _, known = self.base.raster.lookup(p + y @ R.T)
+        _, sd, _, known = self.base.raster.lookup(p + y @ R.T)
         y, b = y[known], Rotation.from_rotvec(bent[known, :3]).apply(self.walk.field[known])
         points, told = p + y @ R.T, np.ones((1, len(y)))
         values = self.base.posterior.evaluate(points, order=1)
         rows, slopes = residual_rows(R[None], y[None], b[None], (values.field, gradient_of(values)), told > 0, told)
-        return known, rows.reshape(3 * len(y), rows.shape[-1]), slopes[0]
+        return known, sd[known], rows.reshape(3 * len(y), rows.shape[-1]), slopes[0]
 
     def _map_errors(self, T: RigidTransform) -> np.ndarray:
-        """Covariance of the map's errors between all bins, base model axes: (n, 3, n, 3), T^2."""
+        """Covariance of the map's errors between all bins, base model axes: (n, 3, n, 3), T^2; none if learned."""
+        if self.null.noise.is_learned:
+            return np.zeros((0, 3, 0, 3))
         points, h = T.apply(self.walk.positions), self.base.field_map.hyperparameters
         C = self.base.field_map.posterior.influence(points) * (h.inflation * h.noise_sd) ** 2
         return np.asarray(C.reshape(len(points), 3, len(points), 3))
 
-    def _rigid_covariance(self, R: Matrix, errors: np.ndarray, known: Mask) -> Matrix:
+    def _rigid_covariance(
+        self, R: Matrix, errors: np.ndarray, known: Mask, sd: Scalars, slopes: np.ndarray
+    ) -> Matrix:
         """The residuals' covariance without bending, of known bins, walk's axes: (3 k, 3 k)."""
+        noise = self.null.noise
+        if noise.is_learned:
+            return noise.full(self.null.distance[np.ix_(known, known)], sd, slopes[:, :, 3:], self.walk.field[known])
         C = np.einsum("ai,namb,bj->nimj", R, errors[known][:, :, known], R, optimize=True)
-        noise = self.null.noise.nugget_sd**2 * np.eye(3 * known.sum())
-        return np.asarray(C.reshape(noise.shape) + noise)
+        nugget = noise.nugget_sd**2 * np.eye(3 * known.sum())
+        return np.asarray(C.reshape(nugget.shape) + nugget)
 
 
 def noise_of_bins(noise_sd: float, length: float) -> PathNoise:

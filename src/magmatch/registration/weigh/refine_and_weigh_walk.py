@@ -65,6 +65,7 @@ class LineEvidence:
     misfit: float  # normalised rms residual (1 when the covariance explains everything)
     is_covered: Mask  # (n,) bool: bins inside the base map
     model: str = "drifts as the base's own stretches do"
+    bends: bool = False  # whether a walk that bends along all of its path is part of the covariance
 
 
 def weigh_walk(
