@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.walk import bin_along_path, choose_search, line_share, walk_of
+from magmatch.estimation.walk import bin_along_path, choose_search, is_resolved, line_share, walk_of
 
 
 def straight(n=200, length=3.0):
@@ -62,3 +62,10 @@ def test_a_short_line_is_searched_by_pairs_and_a_long_one_by_invariants():
     field = np.ones((9000, 3))
     assert choose_search(Survey(straight(9000, 40.0), field), 1.0) == "pairs"
     assert choose_search(Survey(straight(9000, 50.0), field), 1.0) == "invariants"
+
+
+def test_a_path_is_resolved_by_bins_of_a_correlation_length_unless_it_is_too_long_or_in_no_order():
+    field, positions = np.ones((9000, 3)), straight(9000, 140.0)
+    assert is_resolved(Survey(positions, field), 1.0)
+    assert not is_resolved(Survey(straight(9000, 160.0), field), 1.0)
+    assert not is_resolved(Survey(np.random.default_rng(0).permutation(positions), field), 1.0)

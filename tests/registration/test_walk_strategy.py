@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a walk's pose is stated with: the whole of its frame may be off, whatever its residuals show."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from hand_made import prepared_map, some_field
@@ -51,3 +53,9 @@ def test_along_a_path_settling_leaves_a_pose_as_it_was_weighed():
     stated, settled = STRATEGY.state(PAIR, BEST)[0], STRATEGY.settle(PAIR, BEST)[0]
     np.testing.assert_array_equal(settled.covariance, stated.covariance)
     np.testing.assert_array_equal(settled.T_base_target.as_matrix(), stated.T_base_target.as_matrix())
+
+
+def test_the_drift_of_a_walk_that_bends_is_that_of_its_frame_already():
+    R = np.kron(np.eye(2), T_WALK.rotation.as_matrix())
+    estimate, _ = STRATEGY.state(PAIR, replace(BEST, bends=True))
+    np.testing.assert_allclose(estimate.covariance, R @ np.diag(SD**2) @ R.T, atol=1e-12)

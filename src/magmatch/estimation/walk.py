@@ -110,6 +110,11 @@ def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants
     return "pairs" if is_short(target, length) and is_line(target, length) else "invariants"
 
 
+def is_resolved(survey: Survey, length: float) -> bool:
+    """Whether a survey's path can be weighed in bins that are no longer than a correlation length (m)."""
+    return bool(bin_along_path(np.ascontiguousarray(survey.positions), length)[-1] < MAX_WEIGHED)
+
+
 def is_short(survey: Survey, length: float) -> bool:
     """Whether a survey's path can be weighed as it is, at twice the resolution that a correlation length (m) asks."""
     rows = bin_along_path(np.ascontiguousarray(survey.positions), 2 * BIN_LENGTH * length)

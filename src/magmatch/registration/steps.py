@@ -9,8 +9,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.posterior import Answer, Hypothesis, answers_of, posterior_of
-from magmatch.estimation.walk import choose_search
-from magmatch.field.folds import has_path_order
+from magmatch.estimation.walk import choose_search, is_resolved
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
 from magmatch.published.register import register as register_published
@@ -124,7 +123,7 @@ def strategies(
         yield walk
     if config.search != "pairs":
         yield MapStrategy.of(target, config, seed, clock)
-    if config.search == "auto" and search != "pairs" and has_path_order(samples.positions):
+    if config.search == "auto" and search != "pairs" and is_resolved(samples, length):
         yield walk
 
 

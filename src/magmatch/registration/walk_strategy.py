@@ -61,15 +61,15 @@ class WalkStrategy:
         """Generalised least squares, with what this base's own stretches show of residuals, and with more drift."""
         walks, config = pair.base, self.config.walks.evidence
         ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, walks.length, pair.prior, config)
-        if not ranked:
-            return ranked
+        if not ranked or (walks.noise.is_learned and ranked[0].is_explained):
+            return ranked  # nothing is left for more drift to explain
         return BendingWalk.of(walks.base, pair.target, walks.noise, walks.length, pair.prior, config).weigh(ranked)
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
         # The base's own stretches show how poses drift, but no error of the walk's frame as a whole; the drift of a
         # walk that bends is that of its frame, too.
-        pose_sd = pair.target.pose_sd if pair.base.noise.is_learned else 0.0
+        pose_sd = 0.0 if pose.bends else pair.target.pose_sd
         covariance = pose.covariance + np.diag([0.0] * 3 + [pose_sd**2] * 3)
         estimate = pair.estimate(replace(pose, covariance=covariance))
         return estimate, support_of_walk(pair.target, pose, estimate.T_base_target)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch import build_map, register, simulate
-from magmatch.estimation.model_prior import TURNS
+from magmatch.estimation.model_prior import EACH_DRIFT, TURNS
 from magmatch.estimation.posterior import answers_of
 from magmatch.field.config import SPLINE
 from magmatch.geometry import log_se3, transform_error
@@ -111,12 +111,19 @@ def test_the_bases_own_stretches_stand_for_all_drifts_up_to_theirs(walked_again)
     _, rigid, bending = walked_again
     rates = [drift.rate for drifts in bending.drifts for drift in drifts]
     assert min(rates) > bending.null.noise.drift_rate
-    assert bending.share == len(rates) / sum(len(turns.rates) for turns in TURNS)
     (own,) = (one for one in bending.weigh(rigid) if not one.bends)
-    assert own.log_evidence == pytest.approx(rigid[0].log_evidence + np.log(1 - bending.share))
+    # All priors together are one; all poses are compared with one null model.
+    nulls = [one.log_likelihood(own.is_covered) for one in (bending.null, bending.turned_null)]
+    prior = own.log_evidence - rigid[0].log_evidence - nulls[0] + nulls[1]
+    assert np.exp(prior) + len(rates) * np.exp(EACH_DRIFT) == pytest.approx(1)
 
 
-def test_where_residuals_are_as_the_bases_stretches_say_no_drift_is_tried(walked_again):
+@pytest.mark.parametrize("drift_rate", [1e-3, 0.03, 0.15, 1.0])
+def test_what_is_tried_drifts_more_than_the_base_and_the_rest_is_its_own(walked_again, drift_rate):
     _, rigid, bending = walked_again
-    as_expected = [replace(rigid[0], misfit=1.0)]
-    assert bending.weigh(as_expected) == as_expected
+    noise = replace(bending.null.noise, drift_sd=drift_rate, drift_length=1.0)
+    other = BendingWalk.of(bending.base, bending.walk, noise, bending.length, bending.prior, bending.config)
+    tried = {one.model for one in other.weigh(rigid) if one.bends}
+    assert tried == {drift.model for drifts in other.drifts for drift in drifts}
+    assert 0 <= other.share <= 0.8
+    assert (other.share == 0) == (drift_rate >= 0.4)

@@ -4,16 +4,16 @@
 A walk's positions and orientations drift by random walks of unknown rate. Residuals ``r = b - R^T B_base(T y)`` are
 therefore normal with the covariance
 
-    k (C + G S G^T),
+    k (C + r^2 G S G^T),
 
 C the covariance of a walk that does not bend, G the residuals' slopes with the bins' turns and shifts, S the
-covariance of these at one rate, k an unknown common factor. Where the base's own stretches could be held out, C is
-what they show of walks in this place, their own drift included. Where a base passed each place once, its posterior
-says which errors a map has beside a single pass: they are large, but smooth, so that the field along a second path
-follows from few unknowns. Then ``C = R^T K R + n^2 I``, K the posterior's covariance between all bins, n the noise of
-a bin. The field is not linear over as far as a walk may drift, so its shape is fitted with the pose. Each rate, with
-each way to turn, is a model of the pose. The null model has the walk's turns, too: they change its field wherever it
-is.
+covariance of these at a rate of one, r the rate, k an unknown common factor. Where the base's own stretches could be
+held out, C is what they show of walks in this place, their own drift included. Where a base passed each place once,
+its posterior says which errors a map has beside a single pass: they are large, but smooth, so that the field along a
+second path follows from few unknowns. Then ``C = R^T K R + n^2 I``, K the posterior's covariance between all bins, n
+the noise of a bin. The field is not linear over as far as a walk may drift, so its shape is fitted with the pose.
+Each rate, with each way to turn, is a model of the pose. The null model has the walk's turns, too: they change its
+field wherever it is.
 """
 
 from collections.abc import Sequence
@@ -82,16 +82,16 @@ class BendingWalk:
     length: float  # m: the base's correlation length
     prior: PosePrior
     config: LineConfig
-    null: UnrelatedWalk  # its noise is that of a bin, and how all residuals may be larger or smaller than stated
+    null: UnrelatedWalk  # its noise says how all residuals may be larger or smaller than stated
     turned_null: UnrelatedWalk  # the same, with the walk's turns: more work, so of final poses alone
-    drifts: tuple[tuple[WalkDrift, ...], ...]  # that a walk may have, for each of `TURNS`, the largest first
-    share: float  # of all drifts: what they have of the prior; that of the base's own stretches has the rest
+    drifts: tuple[tuple[WalkDrift, ...], ...]  # tried for each of `TURNS`, the largest first
+    share: float  # prior probability of these; the drift of the base's own stretches has the rest
 
     @classmethod
     def of(
         cls, base: PreparedMap, walk: Walk, noise: PathNoise, length: float, prior: PosePrior, config: LineConfig
     ) -> "BendingWalk":
-        """State how the walk may bend, more than the base's own stretches show, and its null models."""
+        """State how the walk may bend beyond what the base's own stretches show, and its null models."""
         bendings = [bending_of(walk.positions, turns) for turns in TURNS]
         drifts = [[WalkDrift(rate, one) for rate in reversed(one.turns.rates)] for one in bendings]
         n_drifts = sum(map(len, drifts))
@@ -106,17 +106,16 @@ class BendingWalk:
         kept, share = tuple(tuple(some) for some in drifts), len(turned) / n_drifts
         return cls(base, walk, length, prior, config, null, with_turns, kept, share)
 
-    def weigh(self, rigid: Sequence[LineEvidence]) -> list[LineEvidence]:
-        """Weigh poses at each drift, beside those of a walk like the base's own stretches; best first.
+    def weigh(self, likely: Sequence[LineEvidence]) -> list[LineEvidence]:
+        """Weigh poses at each drift, beside those at the drift of the base's own stretches; best first."""
+        found = self.at_each_drift([one.T_base_target for one in likely])
+        return in_order([*map(self._beside_drifts, likely), *found]) if self.null.noise.is_learned else found
 
-        Where the residuals of the best of these are as expected, nothing is left for a drift to explain.
-        """
-        own = list(rigid) if self.null.noise.is_learned else []
-        if own and (own[0].misfit <= 1 or not self.share):
-            return own
-        rest = float(np.log1p(-self.share)) if own else 0.0
-        likely = [replace(p, log_evidence=p.log_evidence + rest, attainable=p.attainable + rest) for p in own]
-        return in_order([*likely, *self.at_each_drift([one.T_base_target for one in rigid])])
+    def _beside_drifts(self, pose: LineEvidence) -> LineEvidence:
+        """State the evidence of a pose at the base's own drift by the prior and the null model of all drifts."""
+        more = float(np.log1p(-self.share))
+        more += self.null.log_likelihood(pose.is_covered) - self.turned_null.log_likelihood(pose.is_covered)
+        return replace(pose, log_evidence=pose.log_evidence + more, attainable=pose.attainable + more)
 
     def at_each_drift(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
         """Refine poses at one drift, and the best few at each; best first, without those outside the base.
@@ -124,7 +123,9 @@ class BendingWalk:
         The map's errors differ from pose to pose over a correlation length. A pose that is refined moves by less, so
         they are evaluated where it starts, and for the best few anew where they stand.
         """
-        middle = WalkDrift(RATES[len(RATES) // 2], self.drifts[0][0].bending)
+        if not self.share:
+            return []
+        middle = self.drifts[0][(len(self.drifts[0]) - 1) // 2]
         coarse = distinct(
             in_order(self._fit(T, middle, self._map_errors(T), COARSE_STEPS) for T in starts),
             pose_inaccuracy(self.length)[::-1],

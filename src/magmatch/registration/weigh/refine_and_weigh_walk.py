@@ -65,7 +65,12 @@ class LineEvidence:
     misfit: float  # normalised rms residual (1 when the covariance explains everything)
     is_covered: Mask  # (n,) bool: bins inside the base map
     model: str = "drifts as the base's own stretches do"
-    bends: bool = False  # whether a walk that bends along all of its path is part of the covariance
+    bends: bool = False  # whether the covariance holds that the walk bends along its path
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the pose is likelier than none, and its residuals are no larger than expected."""
+        return self.log_evidence > 0 and self.misfit <= 1
 
 
 def weigh_walk(
