@@ -37,6 +37,10 @@ def test_a_walk_from_an_unknown_start_is_found_and_followed(followed):
     assert error.max() < 0.6
 
 
+def test_a_body_that_has_hardly_moved_is_told_so(followed):
+    assert "the body has moved too little" in followed.track.estimates[0].reason
+
+
 def test_the_sensors_bias_and_the_odometrys_scale_are_found(followed):
     result = followed.track.result()
     np.testing.assert_allclose(result.sensor["bias"], [2e-6, -1e-6, 1e-6], atol=4e-7)

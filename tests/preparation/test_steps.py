@@ -6,12 +6,14 @@ from datetime import date
 
 import numpy as np
 import pytest
+import yaml
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_saturation, runs
 from magmatch.preparation.earth_field import Place, earth_field, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
@@ -19,6 +21,14 @@ from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.preparation.survey_steps import resample_by_distance, steps_of
 
 MUNICH = Place(48.14, 11.58, 520, date(2024, 5, 1))
+
+
+def test_words_that_yaml_reads_as_true_and_false_need_no_quotes():
+    said = yaml.safe_load("{recalibration: off, time_offset: {mode: on}, disturbances: {spikes: off}}")
+    config = PreparationConfig.model_validate(said)
+    assert (config.recalibration, config.time_offset.mode, config.disturbances.spikes) == ("off", "on", "off")
+    with pytest.raises(ValueError, match="flag"):
+        PreparationConfig.model_validate({"disturbances": {"spikes": True}})
 
 
 @pytest.fixture

@@ -220,7 +220,7 @@ def test_what_is_known_already_is_not_asked_for(status, known):
     [
         (LocalizationStatus.LOCALIZED, "Localized; a pose for 83% of the time", "good"),
         (LocalizationStatus.LOST, "Lost at the end; a pose for 83% of the time", "refused"),
-        (LocalizationStatus.NEVER, "Never", "refused"),
+        (LocalizationStatus.NEVER, "Never localized", "refused"),
     ],
 )
 def test_only_a_log_that_ended_localized_is_good_news(status, headline, kind):

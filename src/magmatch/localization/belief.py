@@ -66,7 +66,8 @@ class Belief:
         self._null = UnrelatedFields(known, self._model, config)
         self._window, self._bank = LatestBins.of(len(self._null)), hypotheses(0)
         self._weighed: list[WeighedHypothesis] = []
-        self._found, self._words = NOTHING, ""
+        self._found = NOTHING
+        self._words = self._why()
         # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf

@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The steps that a log goes through; only those switched on here are taken."""
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from magmatch.settings import Settings
 
+
+def _as_word(value: Any) -> Any:
+    """YAML reads the words on and off without quotes as true and false."""
+    return "on" if value is True else "off" if value is False else value
+
+
+UNQUOTED = BeforeValidator(_as_word)
 # off: not estimated. auto: estimated, and applied only if significant. on: applied whenever the data determine it.
-Switch = Literal["off", "auto", "on"]
+Switch = Annotated[Literal["off", "auto", "on"], UNQUOTED]
 # off: not checked. flag: reported. remove: also left out of the survey.
-Flagging = Literal["off", "flag", "remove"]
+Flagging = Annotated[Literal["off", "flag", "remove"], UNQUOTED]
 
 
 class TimeOffsetConfig(Settings):
@@ -76,7 +83,7 @@ class PreparationConfig(Settings):
     # fast sensors give thousands to a metre, which tell no more and cost time.
     thin: float | None = Field(default=None, gt=0)
     # Jumps of the sensor's own calibration, as phones have them. off: not looked for. auto: the log is cut there.
-    recalibration: Literal["off", "auto"] = "auto"
+    recalibration: Annotated[Literal["off", "auto"], UNQUOTED] = "auto"
     time_offset: TimeOffsetConfig = TimeOffsetConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     currents: CurrentsConfig = CurrentsConfig()

@@ -31,6 +31,7 @@ NEXT_STEPS = {
     LocalizationStatus.NEVER: (
         "Check units and --field-frame, and that map and log are of one place; calibrate raw logs with "
         "'magmatch prepare'.",
+        "z is taken to point up in both: say --no-gravity if it does not.",
         "Walk farther, with turns; state how far the odometry drifts (--odometry-sd), and use --planar on one floor.",
     ),
 }
@@ -54,18 +55,16 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
         for s in sorted(longest, key=lambda s: s.t0)
     ]
     columns = ["from (s)", "for", "phase", "map", "why"]
-    sections.append(
-        page.Section(
-            "Along the log", [page.figure_row([status_figure(track), sd_figure(result)]), page.table(rows, columns)]
-        )
-    )
+    figures = [status_figure(track), *([sd_figure(result)] if result.sd else [])]
+    sections.append(page.Section("Along the log", [page.figure_row(figures), page.table(rows, columns)]))
     sections.append(page.again("Run it again", "", None, result.config))
     page.write_page(path, f"magmatch: {track.log.name}", sections)
 
 
 def verdict_on(result: LocalizationResult) -> str:
     """Say where the log ended, and for how much of it a pose is stated; good news only if it ended localized."""
-    ended = {LocalizationStatus.LOST: "Lost at the end"}.get(result.status, result.status.capitalize())
+    words = {LocalizationStatus.LOST: "Lost at the end", LocalizationStatus.NEVER: "Never localized"}
+    ended = words.get(result.status, result.status.capitalize())
     ended = "Pose too uncertain at the end" if result.is_place_known else ended
     share = f"; {result.share_in_words}" if result.is_localized else ""
     return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
