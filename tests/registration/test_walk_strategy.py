@@ -11,8 +11,11 @@ from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.decide.decision import DecisionConfig, Verdict
 from magmatch.registration.index.map_index import WalkIndex
 from magmatch.registration.pair import Pair
+from magmatch.registration.result import Status
+from magmatch.registration.steps import _naming_drift
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
@@ -57,5 +60,18 @@ def test_along_a_path_settling_leaves_a_pose_as_it_was_weighed():
 
 def test_the_drift_of_a_walk_that_bends_is_that_of_its_frame_already():
     R = np.kron(np.eye(2), T_WALK.rotation.as_matrix())
-    estimate, _ = STRATEGY.state(PAIR, replace(BEST, bends=True))
+    estimate, _ = STRATEGY.state(PAIR, replace(BEST, drift=np.diag(SD**2) / 2))
     np.testing.assert_allclose(estimate.covariance, R @ np.diag(SD**2) @ R.T, atol=1e-12)
+
+
+def test_drift_is_named_where_without_it_the_pose_would_be_known_well_enough():
+    def said(sd, status=Status.DEGENERATE, drift=0.75):
+        config = DecisionConfig(max_sd_translation=sd, max_sd_rotation=1.0)
+        walk = replace(BEST, model="drifts by 0.1 m per root of a metre", drift=drift and np.diag(drift * SD**2))
+        return _naming_drift(Verdict(status, "known too little"), PAIR, walk, None, config).reason
+
+    named = "the target's positions or orientations drift, by 0.1 m per root of a metre; "
+    # Known to 0.06 m with its drift, to half of that without.
+    assert said(0.04).startswith(named)
+    assert said(0.04).endswith("; known too little")
+    assert said(0.02) == said(0.04, Status.AMBIGUOUS) == said(0.04, drift=None) == "known too little"

@@ -16,7 +16,7 @@ from magmatch.published.register import register as register_published
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
-from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, decide
+from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, Verdict, decide
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.atlas import Atlas, Bases, OneBase
@@ -28,7 +28,7 @@ from magmatch.registration.published_answer import answer_of
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult
 from magmatch.registration.walk_strategy import WalkStrategy
-from magmatch.registration.weigh.bend import Bend
+from magmatch.registration.weigh.bend import DRIFTS, REMEDY, Bend
 
 Target = Survey | FieldMap
 Base = Target | MapIndex | Atlas
@@ -169,11 +169,7 @@ def settle_and_decide(weighed: Weighed, config: DecisionConfig, clock: Clock) ->
         estimate, support = _state(by.settle if is_probable else by.state, pair, posterior.answers[0], bent, config)
     with clock("decide"):
         verdict = decide(posterior, estimate, pair.length, config)
-        is_bent = bent is not None and posterior.poses[0] is bent.pose
-        if bent is not None and is_bent and bent.bend.probability >= config.min_probability:
-            parts = (verdict.reason, str(bent.bend))
-            # What drift leaves uncertain is no fault of where was surveyed.
-            verdict = replace(verdict, reason="; ".join(parts[:: 1 if verdict.status is Status.ACCEPTED else -1]))
+        verdict = _naming_drift(verdict, pair, posterior.poses[0], bent, config)
         poses = [pair.estimate(pose).T_base_target for pose in posterior.poses]
         answer = state_answer(verdict, posterior, poses, estimate, support, config.max_sd(pair.length))
         return replace(answer, n_keypoints=found.n_keypoints, n_correspondences=found.n_correspondences)
@@ -184,6 +180,22 @@ class _Bent(NamedTuple):
 
     pose: Hypothesis
     bend: Bend
+
+
+def _naming_drift(
+    verdict: Verdict, pair: Pair[Any, Any], best: Any, bent: _Bent | None, config: DecisionConfig
+) -> Verdict:
+    """Name the drift that the halves of the target show, or but for which its pose would be known well enough."""
+    drift = ""
+    if bent is not None and best is bent.pose and bent.bend.probability >= config.min_probability:
+        drift = str(bent.bend)
+    elif verdict.status is Status.DEGENERATE and best.drift is not None:
+        undrifted = pair.estimate(replace(best, covariance=best.covariance - best.drift))
+        if not undrifted.free_directions(config.max_sd(pair.length)):
+            drift = f"{DRIFTS}, {best.model.removeprefix('drifts ')}; {REMEDY}"
+    # What drift leaves uncertain is no fault of where was surveyed.
+    parts = (verdict.reason, drift) if verdict.status is Status.ACCEPTED else (drift, verdict.reason)
+    return replace(verdict, reason="; ".join(filter(None, parts)))
 
 
 def _that_bend(by: Strategy, pair: Any, answer: Answer[Any]) -> tuple[Answer[Any], _Bent | None]:

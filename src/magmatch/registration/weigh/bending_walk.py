@@ -220,7 +220,7 @@ class BendingWalk:
             misfit=float(np.sqrt(found.chi2 / n_free)),
             is_covered=found.known,
             model=drift.model,
-            bends=True,
+            drift=whole - covariance,
         )
 
     def _rows(self, R: Matrix, p: Vector3, bent: Matrix) -> tuple[Mask, Scalars, Matrix, np.ndarray]:

@@ -22,6 +22,7 @@ class PoseEvidence:
     """Statistics of one refined pose, weighed by cells."""
 
     kind: ClassVar[Kind] = "map"
+    drift: ClassVar[None] = None  # only the halves of a map show that it bends
 
     pose: RefinedPose
     # (6, 6) or None: about the pose's centre, target's model axes, from the comparison of the fields alone

@@ -65,7 +65,12 @@ class LineEvidence:
     misfit: float  # normalised rms residual (1 when the covariance explains everything)
     is_covered: Mask  # (n,) bool: bins inside the base map
     model: str = "drifts as the base's own stretches do"
-    bends: bool = False  # whether the covariance holds that the walk bends along its path
+    drift: Covariance6 | None = None  # what the walk's bending along its path adds to the covariance
+
+    @property
+    def bends(self) -> bool:
+        """Whether the walk bends along its path."""
+        return self.drift is not None
 
     @property
     def is_explained(self) -> bool:
