@@ -124,3 +124,4 @@ class WeighedPose:
     covariance: np.ndarray | None = field(default_factory=lambda: 1e-6 * np.eye(6))
     attainable: float = 300.0
     overlap: float = 0.9
+    drift: None = None
