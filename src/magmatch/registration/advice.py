@@ -28,7 +28,7 @@ def with_advice(
     if DRIFTS in answer.reason or answer.status not in rigid:
         return answer
     remedies = [remedy(surveys, prior)] if answer.status is Status.INCONSISTENT else []
-    remedies += of_odometry(surveys)
+    remedies += of_maps(answer) or of_odometry(surveys)
     return replace(answer, reason="; ".join([answer.reason, *remedies])) if remedies else answer
 
 
@@ -64,6 +64,15 @@ def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
         )
     more = "--prior-pose" if is_known else "--gravity-aligned"
     return f"if they do share a region, survey more of it, or state what is known of the pose ({more})"
+
+
+def of_maps(answer: RegistrationResult) -> list[str]:
+    """In one clause, the two maps of a folder that hold the target alike; none if the rival is in the same map."""
+    rival = max(answer.alternatives[1:], key=lambda pose: pose.probability or 0.0, default=None)
+    if answer.status is not Status.AMBIGUOUS or rival is None or rival.base is None:
+        return []
+    both = f"the target fits in {answer.base} and in {rival.base}"
+    return [f"{both}: if they are maps of one place, keep one, or make one of both (magmatch merge)"]
 
 
 def of_odometry(surveys: Mapping[str, Survey]) -> list[str]:
