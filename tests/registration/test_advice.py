@@ -66,6 +66,12 @@ def test_two_flat_surveys_ask_whether_z_is_up_where_that_is_not_said():
     assert "flat" not in remedy({"target": FLAT}, ANY_POSE)
 
 
+def test_gravity_is_not_asked_for_where_z_is_evidently_not_up():
+    lying = replace(ROOM, field=ROOM.field[:, [0, 2, 1]])
+    assert "--gravity-aligned" in asked(ROOM, ROOM)
+    assert "--gravity-aligned" not in asked(ROOM, lying)
+
+
 def test_else_more_survey_or_a_better_known_pose_helps():
     said = asked(ROOM, ROOM)
     assert "survey more" in said

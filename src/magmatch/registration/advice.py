@@ -57,7 +57,10 @@ def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
 
 def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
     """In one clause, the most helpful remedy if the surveys are of the same place."""
-    is_known = prior.is_gravity_aligned or prior.is_planar
+    # Where z is up in one of them only, to state that it is does not help.
+    is_known = (
+        prior.is_gravity_aligned or prior.is_planar or bool(len(surveys) == 2 and of_verticals(*surveys.values()))
+    )
     if not is_known and len(surveys) == 2 and all(_is_flat(survey) for survey in surveys.values()):
         return (
             "both surveys are flat: if z is up in both, use --gravity-aligned (--planar if their heights agree too)"
