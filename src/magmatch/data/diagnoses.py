@@ -96,7 +96,7 @@ def constant_field(survey: Survey) -> str:
     return ""
 
 
-def of_verticals(base: Survey, target: Survey, names: tuple[str, str] = ("base", "target")) -> list[Diagnosis]:
+def of_verticals(base: Survey, target: Survey, *, names: tuple[str, str] = ("base", "target")) -> list[Diagnosis]:
     """Whether two surveys of one place, with z up in both, have fields of contradictory inclination."""
     dips = [inclination_deg(survey.field.mean(axis=0)) for survey in (base, target)]
     if abs(dips[0] - dips[1]) <= PLAUSIBLE_BEND:

@@ -147,7 +147,7 @@ class Track:
     def _wrong(self) -> list[Diagnosis]:
         """What is wrong with the log, or with taking z for up in it and in the map."""
         known = self.maps if self.config.is_gravity_aligned else ()
-        found = (of_verticals(one.survey, self.log, ("map", "log")) for one in known)
+        found = (of_verticals(one.survey, self.log, names=("map", "log")) for one in known)
         return [*diagnose(self.log), *chain.from_iterable(found)]
 
     def _segments(self) -> list[Segment]:
