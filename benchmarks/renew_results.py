@@ -93,6 +93,7 @@ RUNS = (
         40,
         "--save",
     ),
+    Run(("faults",), "faults.py", 5),
     Run(("headline",), "headline.py --jobs {jobs} --out {out}", 2),
 )
 

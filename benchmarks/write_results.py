@@ -83,10 +83,15 @@ def with_interval(cell: str, n: int) -> str:
 
     def counted(found: re.Match[str]) -> str:
         k = int(found.group(1))
-        low, high = wilson_interval(k, n)
-        return f"{k} of {n} ({100 * low:.0f}-{100 * high:.0f} %)"
+        low, high = (percent(100 * end) for end in wilson_interval(k, n))
+        return f"{k} of {n} ({low}-{high} %)"
 
     return COUNT.sub(counted, cell)
+
+
+def percent(value: float) -> str:
+    """Write a percentage, with a decimal where it would else pass for none or all."""
+    return f"{value:.1f}".removesuffix(".0") if round(value) in (0, 100) else f"{value:.0f}"
 
 
 def short(

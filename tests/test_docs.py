@@ -103,11 +103,25 @@ def test_names_on_the_page_of_the_api_exist():
         assert pkgutil.resolve_name(name) is not None
 
 
-def test_every_equation_is_drawn():
-    pytest.importorskip("latex2mathml", reason="extra docs")
-    spec = importlib.util.spec_from_file_location("mathml", DOCS / "hooks" / "mathml.py")
+def hook_of(name):
+    """A module that the pages are built with."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / "hooks" / f"{name}.py")
     hook = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hook)
+    return hook
+
+
+def test_every_setting_of_preparation_has_its_sentence_on_the_page_of_the_api():
+    pytest.importorskip("griffe", reason="extra docs")
+    found = {name: meaning for name, *_, meaning in hook_of("settings_tables").rows("magmatch.PreparationConfig")}
+    assert "`calibration.soft_iron`" in found
+    assert all(found.values())
+    assert len(set(found.values())) == len(found)
+
+
+def test_every_equation_is_drawn():
+    pytest.importorskip("latex2mathml", reason="extra docs")
+    hook = hook_of("mathml")
     drawn = hook.on_page_content(r'<p><span class="arithmatex">\(a &lt; \sigma^2\)</span></p>')
     assert "arithmatex" not in drawn
     assert drawn.count("<math") == 1

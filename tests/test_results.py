@@ -82,16 +82,20 @@ def test_a_page_gets_tables_with_what_printed_them(root):
 
 
 @pytest.mark.parametrize(
-    ("cell", "shown"),
+    ("cell", "n", "shown"),
     [
-        ("19 of 20 within 5 mm", "19 of 20 (76-99 %) within 5 mm"),
-        ("19", "19 of 20 (76-99 %)"),
-        ("19 (95%), or refused: 1", "19 of 20 (76-99 %), or refused: 1"),
-        ("-", "-"),
+        ("19 of 20 within 5 mm", 20, "19 of 20 (76-99 %) within 5 mm"),
+        ("19", 20, "19 of 20 (76-99 %)"),
+        ("19 (95%), or refused: 1", 20, "19 of 20 (76-99 %), or refused: 1"),
+        ("0", 20, "0 of 20 (0-16 %)"),
+        ("0", 812, "0 of 812 (0-0.5 %)"),
+        ("812", 812, "812 of 812 (99.5-100 %)"),
+        ("3", 812, "3 of 812 (0.1-1 %)"),
+        ("-", 20, "-"),
     ],
 )
-def test_counts_are_shown_with_what_they_are_of_and_the_interval_of_their_rate(cell, shown):
-    assert write_results.with_interval(cell, 20) == shown
+def test_counts_are_shown_with_what_they_are_of_and_the_interval_of_their_rate(cell, n, shown):
+    assert write_results.with_interval(cell, n) == shown
 
 
 @pytest.mark.parametrize("columns", [["n", "right"], ["right", "found"]])

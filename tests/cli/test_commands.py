@@ -160,6 +160,13 @@ def test_units_are_stated_for_one_survey_or_all(place, run, tmp_path):
     assert len(read_survey(tmp_path / "a.csv")) == len(survey)
 
 
+def test_help_lists_options_of_a_single_survey_once(run):
+    assert "--target-field-unit" in run("register", "--help").out
+    said = run("transform", "--help").out
+    assert said.count("--field-unit") == 1
+    assert "--target-" not in said
+
+
 @pytest.mark.parametrize("name", ["base.csv", "base.map", "result.json"])
 def test_info_tells_people_and_programs(name, place, run):
     table, data = run("info", place / name), run("info", place / name, "--json")

@@ -4,7 +4,9 @@
 import pytest
 
 from magmatch.cli.registering import tell_result
+from magmatch.cli.sessions import tell
 from magmatch.registration.result import RegistrationResult, Status
+from magmatch.slam.result import AnchorResult, LogResult, SlamResult, SlamStatus
 
 
 @pytest.mark.parametrize(
@@ -16,3 +18,29 @@ def test_a_probability_is_never_rounded_to_certainty(probability, words):
         status=Status.INCONSISTENT, reason="nothing fits", T_base_target=None, probability=probability
     )
     assert f"probability {words}," in tell_result(result)
+
+
+def passed(*off_and_sd_without):
+    """What is said of fixed points that a log of 40 m passes 1 cm off, by what is known of each without it."""
+    log = LogResult("walk", 0, None, 40.0, 3, 0.5, (0.1, 0.05))
+    points = [
+        AnchorResult("walk", 1.0, [0.0, 0.0, 0.0], 0.02, [0.01, 0.0, 0.0], [off, 0.0, 0.0], sd)
+        for off, sd in off_and_sd_without
+    ]
+    result = SlamResult(SlamStatus.CONNECTED, "corrected", (log,), anchors=tuple(points))
+    return tell(result).splitlines()[-1]
+
+
+def test_the_error_at_fixed_points_is_said_where_others_tell_the_place():
+    said = passed((0.3, 0.1), (0.4, 0.1))
+    assert "passed 0.01 m off (rms)" in said
+    assert "0.35 m (rms) where each is left out" in said
+    # Nothing else tells where the log passes the third.
+    assert passed((0.3, 0.1), (0.4, 0.1), (0.0, 3e4)).endswith("0.35 m (rms) where each of 2 is left out")
+
+
+def test_the_error_at_fixed_points_that_alone_tell_the_frame_is_said_to_be_no_test():
+    said = passed((0.17, 130.0), (0.05, 3e4))
+    assert "0.01 m" not in said
+    assert "left out" not in said
+    assert "too few" in said

@@ -24,6 +24,17 @@ def test_a_page_and_a_recording_are_written_where_both_are_asked_for(place, run,
     assert recording.exists()
 
 
+def test_a_page_that_nobody_named_replaces_no_file(place, run, tmp_path, monkeypatch):
+    pytest.importorskip("plotly")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "result.html").write_text("a report")
+    made = [run("view", place / "result.json").out for _ in range(2)]
+    assert made == ["result-2.html\n", "result-3.html\n"]
+    assert (tmp_path / "result.html").read_text() == "a report"
+    assert run("view", place / "result.json", "--out", "result.html").out == "result.html\n"
+    assert (tmp_path / "result.html").read_text() != "a report"
+
+
 def test_a_result_alone_has_nothing_in_space(place, refused, tmp_path):
     pytest.importorskip("rerun")
     refused(["view", place / "result.json", "--rerun", tmp_path / "o.rrd"], "give its base and target too", tmp_path)

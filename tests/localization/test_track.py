@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 
@@ -47,3 +48,14 @@ def test_a_log_that_is_never_found_says_first_what_is_wrong_with_it(followed):
     assert wrong.reason.startswith("the field vectors look like those of a sensor that turns")
     assert wrong.reason.endswith(nowhere[-1].reason)
     assert replace(track, estimates=nowhere).result().reason == nowhere[-1].reason
+
+
+def test_a_log_whose_z_is_evidently_not_up_is_told_so_where_it_is_never_found(followed):
+    log, track = followed.log, followed.track
+    lying = log.transformed(RigidTransform.from_rotation(Rotation.from_euler("x", 90, degrees=True)))
+    nowhere = replace(track, log=lying, estimates=[replace(e, matrix=None) for e in track.estimates])
+    said = nowhere.result().reason
+    assert "below the map's horizontal and" in said
+    assert "--no-gravity" in said
+    free = replace(nowhere, config=track.config.model_copy(update={"is_gravity_aligned": False}))
+    assert "--no-gravity" not in free.result().reason

@@ -184,3 +184,20 @@ def test_saturation_needs_five_readings_at_the_limit_and_more_than_at_the_next_t
         assert find_saturation(x).sum() == (count if is_found else 0)
     steps = np.concatenate([np.full(6, 3.0), np.full(3, 2.0), np.full(3, 1.5), np.arange(-5, 1, 0.1)])
     assert not find_saturation(np.tile(steps[:, None], (1, 3))).any()
+
+
+@pytest.mark.parametrize(
+    ("outcome", "before", "after", "shown"),
+    [
+        ("applied", 6.561, 0.3771, "6.56 -> 0.377 uT"),
+        ("applied", 9.7531, 9.7489, "9.753 -> 9.749 uT"),
+        ("applied", 9.75, 9.75, "9.75 uT, as before"),
+        ("unchanged", 9.75, 9.75, "9.75 -> 9.75 uT"),
+        ("applied", 2499.0, 2498.0, "2499 -> 2498 samples"),
+        ("flagged", 9.75, None, "9.75 uT"),
+    ],
+)
+def test_what_was_applied_is_shown_in_digits_that_differ_or_said_to_change_nothing(outcome, before, after, shown):
+    step = StepReport("soft iron", outcome, "found", before, after, shown.split()[-1] if "samples" in shown else "uT")
+    report = PreparationReport("log", (1, 1), (step,), {}, SensorCorrection(), (), "1")
+    assert report.table() == f"soft iron  {outcome}  {shown}  found"

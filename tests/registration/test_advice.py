@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.registration.advice import diagnosis, of_odometry, remedy, with_advice
-from magmatch.registration.result import RegistrationResult, Status
+from magmatch.registration.result import Alternative, RegistrationResult, Status
 
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 ANY_POSE, UPRIGHT = PosePriorConfig(), PosePriorConfig(is_gravity_aligned=True)
@@ -66,11 +66,28 @@ def test_two_flat_surveys_ask_whether_z_is_up_where_that_is_not_said():
     assert "flat" not in remedy({"target": FLAT}, ANY_POSE)
 
 
+def test_gravity_is_not_asked_for_where_z_is_evidently_not_up():
+    lying = replace(ROOM, field=ROOM.field[:, [0, 2, 1]])
+    assert "--gravity-aligned" in asked(ROOM, ROOM)
+    assert "--gravity-aligned" not in asked(ROOM, lying)
+
+
 def test_else_more_survey_or_a_better_known_pose_helps():
     said = asked(ROOM, ROOM)
     assert "survey more" in said
     # What a disturbed place does to vectors is no turning sensor.
     assert diagnosis({"base": survey(wild=15e-6), "target": ROOM}) == ""
+
+
+@pytest.mark.parametrize(("rival", "is_named"), [("b.map", True), (None, False)])
+def test_two_maps_that_hold_the_target_are_both_named(rival, is_named):
+    T = RigidTransform.identity()
+    poses = (Alternative(T, 0.5), Alternative(T, 0.45, base=rival), Alternative(T, 0.01, base="c.map"))
+    answer = RegistrationResult(Status.AMBIGUOUS, "two poses fit", None, base="a.map", alternatives=poses)
+    said = with_advice(answer, {"base": ROOM, "target": ROOM}, ANY_POSE).reason
+    assert said.startswith("two poses fit")
+    assert ("in a.map and in b.map" in said) == is_named
+    assert "c.map" not in said
 
 
 def test_an_inconsistent_answer_gets_one_clause_more_and_three_sentences_at_most():

@@ -108,8 +108,12 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 
 
 def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tuple[str, str], Any]]:
-    """One option per setting of `SurveyFormat` and survey: parameter name -> ((survey, setting), annotation)."""
+    """One option per setting of `SurveyFormat` and survey: parameter name -> ((survey, setting), annotation).
+
+    Those of a single survey are understood, as typed for `register`, but not listed: they would say everything twice.
+    """
     parameters: dict[str, tuple[tuple[str, str], Any]] = {}
+    is_single = len(surveys) == 2  # all and its own
     for survey in surveys:
         prefix = f"{survey}_" if survey else ""
         for name, field in SurveyFormat.model_fields.items():
@@ -118,7 +122,10 @@ def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tu
             # A placeholder keeps its capitals.
             first = what[0] if what[1:2].isupper() else what[0].lower()
             words = f"The same for {survey.upper()} alone." if survey else f"{reads}: {first}{what[1:]}"
-            option = typer.Option(flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False)
+            is_hidden = is_single and bool(survey)
+            option = typer.Option(
+                flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False, hidden=is_hidden
+            )
             kind: Any = field.annotation
             parameters[prefix + name] = ((survey, name), Annotated[kind | None, option])
     return parameters

@@ -4,6 +4,7 @@
 import json
 import tempfile
 from collections.abc import Iterable
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,12 @@ def check_folder(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise DataFormatError(path, "is a file, expected the name of a folder to write to")
     _try_to_write(path if path.is_dir() else real_path(path).parent, path)
+
+
+def free_name(stem: str, suffix: str) -> Path:
+    """Name in this folder for what the user did not name: with a number behind it where there is such a file."""
+    numbered = (f"{stem}-{n}{suffix}" for n in count(2))
+    return next(path for path in map(Path, chain([stem + suffix], numbered)) if not path.exists())
 
 
 def as_json(content: dict[str, Any]) -> str:

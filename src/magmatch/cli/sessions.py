@@ -14,7 +14,7 @@ from magmatch.number_text import told
 
 if TYPE_CHECKING:
     from magmatch.data.trajectory import Trajectory
-    from magmatch.slam.result import AnchorResult, SlamResult
+    from magmatch.slam.result import SlamResult
     from magmatch.slam.session import Session
 
 
@@ -76,17 +76,23 @@ def tell(result: "SlamResult") -> str:
         # Rigid surveys have no odometry and are moved as a whole.
         walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
         lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")
-    return "\n".join(lines + ([_passed(result.anchors)] if result.anchors else []))
+    return "\n".join(lines + ([_passed(result)] if result.anchors else []))
 
 
-def _passed(points: "Sequence[AnchorResult]") -> str:
-    """How far off the logs pass their fixed points."""
-    off, without = (
-        [hypot(*v) for v in vectors] for vectors in zip(*((p.off, p.off_without) for p in points), strict=True)
-    )
+def _passed(result: "SlamResult") -> str:
+    """How far off the logs pass their fixed points, to which they are fitted, and what else shows it."""
+    points, tested = result.anchors, result.tested_anchors()
+    if not tested:
+        return f"  Fixed points: {len(points)}, to which the path is fitted; too few to show how far off it is"
+    off = [hypot(*p.off) for p in points]
     far = max(range(len(points)), key=off.__getitem__)
-    rms, rms_without = (sqrt(sum(d * d for d in distances) / len(points)) for distances in (off, without))
+    each = "each" if len(tested) == len(points) else f"each of {len(tested)}"
+    without = _rms([hypot(*p.off_without) for p in tested])
     return (
-        f"  Fixed points: passed {rms:.2f} m off (rms), {off[far]:.2f} m at most ({points[far].log} at "
-        f"{told(points[far].t)} s); {rms_without:.2f} m (rms) where each is left out"
+        f"  Fixed points: passed {_rms(off):.2f} m off (rms), {off[far]:.2f} m at most ({points[far].log} at "
+        f"{told(points[far].t)} s); {without:.2f} m (rms) where {each} is left out"
     )
+
+
+def _rms(values: Sequence[float]) -> float:
+    return sqrt(sum(value * value for value in values) / len(values))

@@ -11,7 +11,7 @@ from magmatch.cli.command import Layouts, command, flag_of
 from magmatch.cli.inputs import read_result, read_survey_or_map
 from magmatch.cli.narration import put
 from magmatch.cli.option_values import refuse
-from magmatch.cli.outputs import check_outputs
+from magmatch.cli.outputs import check_outputs, free_name
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -37,7 +37,10 @@ def view(
     ],
     layouts: Layouts,
     out: Annotated[
-        Path | None, typer.Option(help="Write here (HTML); by default in this folder, named after the first file.")
+        Path | None,
+        typer.Option(
+            help="Write here (HTML); by default in this folder, named after the first file, where no file is yet."
+        ),
     ] = None,
     rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
 ) -> None:
@@ -48,7 +51,7 @@ def view(
     """
     from magmatch.data.formats.sniff import sniff
 
-    goal = out or (None if rerun else Path(files[0].stem + ".html"))
+    goal = out or (None if rerun else free_name(files[0].stem, ".html"))
     check_outputs((rerun,), inputs=files, page=goal)
     # Before any work is done.
     if rerun is not None:

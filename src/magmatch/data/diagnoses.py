@@ -96,13 +96,17 @@ def constant_field(survey: Survey) -> str:
     return ""
 
 
-def of_verticals(base: Survey, target: Survey) -> list[Diagnosis]:
+def of_verticals(base: Survey, target: Survey, *, names: tuple[str, str] = ("base", "target")) -> list[Diagnosis]:
     """Whether two surveys of one place, with z up in both, have fields of contradictory inclination."""
     dips = [inclination_deg(survey.field.mean(axis=0)) for survey in (base, target)]
     if abs(dips[0] - dips[1]) <= PLAUSIBLE_BEND:
         return []
-    measured = "the field dips {:.0f} deg below the base's horizontal and {:.0f} deg below the target's".format(*dips)
-    return [Diagnosis("vertical", measured, "z is not up in one of them: correct its axes, or do not state gravity")]
+    one, other = (f"{dip:.0f} deg below the {name}'s" for dip, name in zip(dips, names, strict=True))
+    remedy = (
+        "z is not up in one of them: correct its axes, or do not take it for up (localize, slam: --no-gravity; "
+        "register: neither --gravity-aligned nor --planar)"
+    )
+    return [Diagnosis("vertical", f"the field dips {one} horizontal and {other}", remedy)]
 
 
 def inclination_deg(vector: Vector3) -> float:

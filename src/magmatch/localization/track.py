@@ -3,14 +3,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch._version import __version__
-from magmatch.data.diagnoses import diagnose
+from magmatch.data.diagnoses import Diagnosis, diagnose, of_verticals
 from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.data.tables.tum import write_poses
@@ -111,7 +111,7 @@ class Track:
         """Give the findings as a document."""
         times, is_stated, last = self.log.times, self.is_stated, self.estimates[-1]
         assert times is not None
-        wrong = [] if is_stated.any() else diagnose(self.log)
+        wrong = [] if is_stated.any() else self._wrong()
         reason = "; ".join([*map(str, wrong[:1]), last.reason])
         found = LocalizationResult(
             LocalizationStatus.NEVER, reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
@@ -143,6 +143,12 @@ class Track:
                 "sd": [float(final.drift or 1.0) * sd for sd in self.config.odometry.sd],
             },
         )
+
+    def _wrong(self) -> list[Diagnosis]:
+        """What is wrong with the log, or with taking z for up in it and in the map."""
+        known = self.maps if self.config.is_gravity_aligned else ()
+        found = (of_verticals(one.survey, self.log, names=("map", "log")) for one in known)
+        return [*diagnose(self.log), *chain.from_iterable(found)]
 
     def _segments(self) -> list[Segment]:
         times = self.log.times

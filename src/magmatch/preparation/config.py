@@ -23,6 +23,7 @@ Flagging = Annotated[Literal["off", "flag", "remove"], UNQUOTED]
 class TimeOffsetConfig(Settings):
     """Clock of the magnetometer against that of the poses."""
 
+    # off: not estimated. auto: applied where the data show it. on: applied whenever they determine it.
     mode: Switch = "auto"
     # Largest offset searched for, s; loggers on one machine differ by tens of ms, buffered ones by some hundred.
     largest: float = Field(default=1.0, gt=0, le=60)
@@ -37,11 +38,13 @@ class CalibrationConfig(Settings):
     soft_iron: Switch = "auto"
     # A small turn of the sensor against the frame of the poses (0.6 rad at most, where it is still linear enough).
     misalignment: Switch = "auto"
-    # How large they are expected to be (standard deviations). Phones and robots show tens of uT of hard iron; 5 % of
-    # soft iron and a few degrees are what mounting leaves. What the data do not tell stays at 0, not at these.
-    hard_iron_sd: float = Field(default=50e-6, gt=0)  # T
+    # How large hard iron is expected to be (standard deviation, T): phones and robots show tens of uT. What the data
+    # do not tell stays at 0, not at this; so with the next two.
+    hard_iron_sd: float = Field(default=50e-6, gt=0)
+    # The same of soft iron, a share: what gains and mounting leave.
     soft_iron_sd: float = Field(default=0.05, gt=0)
-    misalignment_sd: float = Field(default=0.1, gt=0)  # rad
+    # The same of misalignment, rad: a few degrees are what mounting leaves.
+    misalignment_sd: float = Field(default=0.1, gt=0)
 
 
 class CurrentsConfig(Settings):
@@ -54,8 +57,8 @@ class CurrentsConfig(Settings):
 class DisturbancesConfig(Settings):
     """Samples that do not measure the ambient field."""
 
-    # Flagged only, by default, all four: a sharp peak beside steel looks the same as a spike, and registration bears
-    # a few bad samples better than missing good ones.
+    # Readings unlike their neighbours. By default all four are only flagged: a sharp peak beside steel looks the same
+    # as a spike, and registration bears a few bad samples better than missing good ones.
     spikes: Flagging = "flag"
     # Readings repeated although the sensor moved on, and gaps in time.
     drop_outs: Flagging = "flag"
@@ -73,6 +76,7 @@ class ResamplingConfig(Settings):
 
     # Distance, m; None keeps every sample. Standing still weighs as much as walking, unless resampled.
     step: float | None = Field(default=None, gt=0)
+    # What stands for the readings of a step.
     average: Literal["mean", "median"] = "median"
 
 

@@ -95,11 +95,19 @@ def report_on(
 
 
 def _change(step: StepReport) -> str:
-    """Figures before and after, in three digits."""
+    """Figures before and after: in three digits, or in as many as show what was applied."""
     if step.before is None:
         return ""
-    before, after = (
-        None if value is None else f"{value:.0f}" if step.unit == "samples" else f"{value:.3g}"
-        for value in (step.before, step.after)
-    )
-    return f"{before}{'' if after is None else f' -> {after}'} {step.unit}".rstrip()
+    if step.after is None:
+        return f"{_figure(step.before, step.unit)} {step.unit}".rstrip()
+    for digits in range(3, 7):
+        before, after = (_figure(value, step.unit, digits) for value in (step.before, step.after))
+        if before != after:
+            return f"{before} -> {after} {step.unit}".rstrip()
+    if step.outcome == "applied":
+        return f"{_figure(step.after, step.unit)} {step.unit}, as before"
+    return f"{_figure(step.before, step.unit)} -> {_figure(step.after, step.unit)} {step.unit}".rstrip()
+
+
+def _figure(value: float, unit: str, digits: int = 3) -> str:
+    return f"{value:.0f}" if unit == "samples" else f"{value:.{digits}g}"

@@ -28,7 +28,7 @@ def with_advice(
     if DRIFTS in answer.reason or answer.status not in rigid:
         return answer
     remedies = [remedy(surveys, prior)] if answer.status is Status.INCONSISTENT else []
-    remedies += of_odometry(surveys)
+    remedies += of_maps(answer) or of_odometry(surveys)
     return replace(answer, reason="; ".join([answer.reason, *remedies])) if remedies else answer
 
 
@@ -57,13 +57,25 @@ def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
 
 def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
     """In one clause, the most helpful remedy if the surveys are of the same place."""
-    is_known = prior.is_gravity_aligned or prior.is_planar
+    # Where z is up in one of them only, to state that it is does not help.
+    is_known = (
+        prior.is_gravity_aligned or prior.is_planar or bool(len(surveys) == 2 and of_verticals(*surveys.values()))
+    )
     if not is_known and len(surveys) == 2 and all(_is_flat(survey) for survey in surveys.values()):
         return (
             "both surveys are flat: if z is up in both, use --gravity-aligned (--planar if their heights agree too)"
         )
     more = "--prior-pose" if is_known else "--gravity-aligned"
     return f"if they do share a region, survey more of it, or state what is known of the pose ({more})"
+
+
+def of_maps(answer: RegistrationResult) -> list[str]:
+    """In one clause, the two maps of a folder that hold the target alike; none if the rival is in the same map."""
+    rival = max(answer.alternatives[1:], key=lambda pose: pose.probability or 0.0, default=None)
+    if answer.status is not Status.AMBIGUOUS or rival is None or rival.base is None:
+        return []
+    both = f"the target fits in {answer.base} and in {rival.base}"
+    return [f"{both}: if they are maps of one place, keep one, or make one of both (magmatch merge)"]
 
 
 def of_odometry(surveys: Mapping[str, Survey]) -> list[str]:

@@ -188,3 +188,8 @@ class SlamResult(TypedDocument):
     def is_connected(self) -> bool:
         """Whether every log is in one frame, or the only one corrected."""
         return self.status is SlamStatus.CONNECTED
+
+    def tested_anchors(self) -> tuple[AnchorResult, ...]:
+        """Fixed points that show an error: all else tells where the log passes them, if only within its length."""
+        length = {log.name: log.length for log in self.logs}
+        return tuple(point for point in self.anchors if point.sd_without < length[point.log])

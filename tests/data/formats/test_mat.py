@@ -2,6 +2,8 @@
 """MATLAB files: arrays named as columns, in both versions; what is damaged or no survey is refused in one line."""
 
 import gzip
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -204,3 +206,37 @@ def test_what_no_column_is_asked_of_is_not_read(tmp_path):
     raw[-200_000:-1000] = bytes(199_000)
     path.write_bytes(raw)
     np.testing.assert_array_equal(read_mat(path, SurveyFormat()).stack("bx", "by", "bz"), FIELD)
+
+
+@pytest.mark.parametrize("packs", [False, True])
+@pytest.mark.parametrize(
+    ("part", "other"),
+    [
+        *(((9, 8 * N), (kind, 8 * N)) for kind in (0, 14, 15, 21, 255, 4000)),  # the type of its numbers
+        ((6, 8, 6), (6, 8, 0x806)),  # complex, of which the file holds no imaginary part
+        ((6, 8, 6), (6, 8, 5)),  # sparse, without indices
+    ],
+)
+def test_numbers_that_are_not_there_are_damage(part, other, packs, tmp_path):
+    """SciPy reads them from outside its memory: where it does, the process ends here."""
+    content = v5(tmp_path / "a.mat", PLAIN).read_bytes()
+    assert struct.pack(f"<{len(part)}I", *part) in content
+    changed = content.replace(*(struct.pack(f"<{len(words)}I", *words) for words in (part, other)))
+    if packs:
+        changed = changed[:128] + b"".join(map(compressed, variables(changed[128:])))
+    (tmp_path / "a.mat").write_bytes(changed)
+    with pytest.raises(DataFormatError, match="is a damaged MATLAB file"):
+        read_survey(tmp_path / "a.mat", SurveyFormat(field_unit="uT"))
+
+
+def variables(data):
+    """The variables of a file, one after the other."""
+    while data:
+        end = 8 + struct.unpack("<II", data[:8])[1]
+        yield data[:end]
+        data = data[end:]
+
+
+def compressed(variable):
+    raw = zlib.compress(variable)
+    return struct.pack("<II", 15, len(raw)) + raw

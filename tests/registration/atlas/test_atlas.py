@@ -97,6 +97,8 @@ def test_two_maps_of_one_room_are_ambiguous_and_both_are_named(atlas, walk_in, t
     assert result.status == "ambiguous"
     named = [a.base or result.base for a in result.alternatives]
     assert {"one.map", "two.map"} <= set(named)
+    assert "in one.map and in two.map" in result.reason or "in two.map and in one.map" in result.reason
+    assert "magmatch merge" in result.reason
 
 
 def test_what_is_no_folder_of_maps_and_a_method_that_takes_none_are_refused(atlas, rooms):

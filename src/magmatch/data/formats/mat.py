@@ -13,6 +13,7 @@ import numpy as np
 import scipy.io
 
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.mat_parts import require_parts
 from magmatch.data.survey_columns import (
     COLUMNS,
     FIELD_COLUMNS,
@@ -130,6 +131,7 @@ class _Variables(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._read:
+            require_parts(self._path, name)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # such as of a name that is there twice
                 found = scipy.io.loadmat(self._path, variable_names=[name], appendmat=False)

@@ -218,11 +218,21 @@ def _anchors(result: SlamResult) -> page.Section:
     """Farthest from where they should be first, in standard deviations."""
     off = [float(np.linalg.norm(a.off)) for a in result.anchors]
     order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[: page.MAX_LISTED]
+    tested = result.tested_anchors()
     rows = [
-        [result.anchors[k].log, f"{told(result.anchors[k].t)} s", f"{off[k]:.3f} m", f"{result.anchors[k].sd:g} m"]
-        for k in order
+        [
+            point.log,
+            f"{told(point.t)} s",
+            f"{off[k]:.3f} m",
+            f"{point.sd:g} m",
+            f"{np.linalg.norm(point.off_without):.3f} m" if point in tested else "not known",
+            f"{point.sd_without:.2g} m" if point in tested else "",
+        ]
+        for k, point in ((k, result.anchors[k]) for k in order)
     ]
     words = (
-        "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log."
+        "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log. "
+        "The path is fitted to these points: how good it is elsewhere shows where a point is left out."
     )
-    return page.Section("Fixed points", [page.note(words), page.table(rows, ["log", "at", "off by", "stated sd"])])
+    columns = ["log", "at", "off by", "stated sd", "left out: off by", "known there to"]
+    return page.Section("Fixed points", [page.note(words), page.table(rows, columns)])
