@@ -125,31 +125,18 @@ def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, fre
     ways = [swept(p_target, T_base_target, free, sign * reach) for sign in (-1.0, 1.0)]
     arrows = draw.thinned(len(p_target), MAX_ARROWS)
     p_base = base.positions[draw.thinned(len(base), MAX_SWEPT)]
+    style: dict[str, Any] = {"opacity": 0.7, "hoverinfo": "name"}
+    line = {"color": draw.INK, "width": 3}
     traces = [
-        draw.points3d(
-            p_base,
-            name=f"base: {draw.label(base.name)}",
-            marker={"size": 1.5, "color": draw.BASE_COLOR, "opacity": 0.5},
-        ),
-        _points(here, "target", draw.TARGET_MARKER, draw.TARGET_COLOR, 2.5),
-        _points(ways[0], "moved one way", "cross", draw.LINK_COLOR, 2),
-        _points(ways[1], "moved the other way", "x", draw.LINK_COLOR, 2),
-        draw.curves3d(
-            draw.between(ways[0][arrows], ways[1][arrows]), name="direction", line={"color": draw.INK, "width": 3}
-        ),
+        draw.marks3d(p_base, f"base: {draw.label(base.name)}", draw.BASE_COLOR, draw.BASE_MARKER, 1.5, opacity=0.5),
+        draw.marks3d(here, "target", draw.TARGET_COLOR, draw.TARGET_MARKER, 2.5, **style),
+        draw.marks3d(ways[0], "moved one way", draw.LINK_COLOR, "cross", 2, **style),
+        draw.marks3d(ways[1], "moved the other way", draw.LINK_COLOR, "x", 2, **style),
+        draw.curves3d(draw.between(ways[0][arrows], ways[1][arrows]), name="direction", line=line),
     ]
-    figure = draw.new_scene(
-        f"Free: {draw.label(free.words)}", traces, "the data fit nearly as well all along the lines"
-    )
-    return draw.described(
-        figure,
-        f"The target's samples with lines along which they may move and still fit: {free.words}.",
-    )
-
-
-def _points(p: Points, name: str, symbol: str, color: str, size: float) -> Any:
-    marker = {"size": size, "color": color, "symbol": symbol, "opacity": 0.7}
-    return draw.points3d(p, name=name, marker=marker, hoverinfo="name")
+    title, note = f"Free: {draw.label(free.words)}", "the data fit nearly as well all along the lines"
+    words = f"The target's samples with lines along which they may move and still fit: {free.words}."
+    return draw.described(draw.new_scene(title, traces, note), words)
 
 
 def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":

@@ -97,6 +97,14 @@ def points3d(p: Points, **style: Any) -> Any:
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="markers", **style)
 
 
+def marks3d(
+    p: Points, name: str | None, color: str, symbol: str, size: float, *, opacity: float = 1.0, **style: Any
+) -> Any:
+    """Markers in space, all of one look."""
+    marker = {"size": size, "color": color, "symbol": symbol, "opacity": opacity}
+    return points3d(p, name=name, marker=marker, **style)
+
+
 def between(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Points of one line per row, as a single trace: rows are parted by gaps."""
     return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, starts.shape[1])
@@ -189,6 +197,22 @@ def _camera(aspect: np.ndarray) -> dict[str, Any]:
     needed = np.maximum(np.abs(corners @ across) / SCENE_WIDTH, np.abs(corners @ up) / SCENE_HEIGHT) + corners @ back
     eye = float(needed.max()) * back
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}}
+
+
+def bars(
+    title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool]
+) -> "Figure":
+    """Numbers above 0 as named bars below each other, the first at the top; those that are not filled are hatched."""
+    marker = {"color": BASE_COLOR, "pattern": {"shape": ["" if is_filled else "/" for is_filled in filled]}}
+    bar = require_plotly().Bar(
+        x=values, y=names, text=texts, orientation="h", marker=marker, textposition="outside", cliponaxis=False,
+        hoverinfo="skip", showlegend=False,
+    )  # fmt: skip
+    figure = new_plane(title, [bar], x_title, "", is_equal=False)
+    figure.update_yaxes(autorange="reversed")
+    figure.update_xaxes(range=[0, 1.3 * float(values.max())])
+    figure.update_layout(height=120 + 36 * len(names))
+    return figure
 
 
 def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":

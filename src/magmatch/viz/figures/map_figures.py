@@ -133,18 +133,9 @@ def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
     """Error on held-out data by prior: bars, the chosen one filled, the others hatched."""
     names = sorted(errors, key=lambda name: errors[name])
     values: Scalars = draw.UT_PER_TESLA * np.array([errors[name] for name in names])
-    bars = draw.require_plotly().Bar(
-        x=values, y=[f"{name} (chosen)" if name == taken else name for name in names], orientation="h",
-        text=[f"{v:.3g} uT" for v in values], textposition="outside", cliponaxis=False, hoverinfo="skip",
-        marker={"color": draw.BASE_COLOR, "pattern": {"shape": ["" if name == taken else "/" for name in names]}},
-        showlegend=False,
-    )  # fmt: skip
-    figure = draw.new_plane(
-        "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>",
-        [bars], "error (uT)", "", is_equal=False,
-    )  # fmt: skip
-    figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 1.3 * float(values.max())])
-    figure.update_layout(height=130 + 40 * len(names))
-    told = ", ".join(f"{name} {v:.3g} uT" for name, v in zip(names, values, strict=True))
+    texts, is_taken = [f"{v:.3g} uT" for v in values], [name == taken for name in names]
+    labels = [f"{name} (chosen)" if name == taken else name for name in names]
+    title = "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>"
+    figure = draw.bars(title, values, labels, texts, "error (uT)", is_taken)
+    told = ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
     return draw.described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")

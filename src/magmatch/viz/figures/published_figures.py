@@ -54,10 +54,8 @@ def linked_keypoints_figure(
         (base, base_rows, np.zeros(3), "base", draw.BASE_COLOR, draw.BASE_MARKER),
         (target, target_rows, shift, "target", draw.TARGET_COLOR, draw.TARGET_MARKER),
     ):
-        marker = {"size": 1.5, "color": color, "symbol": symbol}
-        traces.append(
-            draw.points3d(one.positions[rows] + offset, name=f"keypoints of {name}", marker=marker, hoverinfo="name")
-        )
+        p = one.positions[rows] + offset
+        traces.append(draw.marks3d(p, f"keypoints of {name}", color, symbol, 1.5, hoverinfo="name"))
     line = {"color": draw.LINK_COLOR, "width": 1}
     if len(links.base):
         traces.append(
@@ -117,7 +115,7 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
     at, axes, reach = inferred.positions[frames.rows[chosen]], frames.axes[chosen], 3 * inferred.spacing
     traces: list[Any] = [
         arrows,
-        draw.points3d(at, name="keypoints", marker={"size": 4, "color": draw.INK}, showlegend=False),
+        draw.marks3d(at, "keypoints", draw.INK, draw.BASE_MARKER, 4, showlegend=False),
     ]
     for k, (axis, color) in enumerate(zip("xyz", AXES, strict=True)):
         line = {"color": color, "width": 7}
@@ -131,6 +129,5 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
 
 def _samples(p: Points, name: str | None) -> Any:
     some = p[draw.thinned(len(p), MAX_SAMPLES)]
-    return draw.points3d(
-        some, name=name, showlegend=name is not None, marker={"size": 1, "color": draw.QUIET}, hoverinfo="skip"
-    )
+    style = {"showlegend": name is not None, "hoverinfo": "skip"}
+    return draw.marks3d(some, name, draw.QUIET, draw.BASE_MARKER, 1, **style)

@@ -49,12 +49,8 @@ def links_figure(result: RegistrationResult) -> "Figure":
         msg = "view: expected a result with pose and matching points, got one without; say view(result, base, target)"
         raise ValueError(msg)
     moved = transform_points(links.target, T_base_target)
-    base = draw.points3d(
-        links.base, name="base", marker={"size": 5, "color": draw.BASE_COLOR, "symbol": draw.BASE_MARKER}
-    )
-    target = draw.points3d(
-        moved, name="target", marker={"size": 4, "color": draw.TARGET_COLOR, "symbol": draw.TARGET_MARKER}
-    )
+    base = draw.marks3d(links.base, "base", draw.BASE_COLOR, draw.BASE_MARKER, 5)
+    target = draw.marks3d(moved, "target", draw.TARGET_COLOR, draw.TARGET_MARKER, 4)
     words = "Corresponding points" if result.is_accepted else "Best candidate, NOT accepted"
     return draw.described(
         draw.new_scene(words, [base, target], "frame of the base"),
@@ -172,17 +168,9 @@ def time_figure(result: RegistrationResult) -> "Figure | None":
     if not stages:
         return None
     total = result.seconds.get("total", sum(stages.values()))
-    names = [draw.label(name) for name in stages]
-    bar = draw.require_plotly().Bar(
-        x=list(stages.values()), y=names, orientation="h", marker={"color": draw.BASE_COLOR}, cliponaxis=False,
-        text=[f"{s:.2f} s" for s in stages.values()], textposition="outside", hoverinfo="skip", showlegend=False,
-    )  # fmt: skip
-    figure = draw.new_plane(
-        f"Time per stage<br><sub>{total:.2f} s in total</sub>", [bar], "time (s)", "", is_equal=False
-    )
-    figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 1.25 * max(stages.values())])
-    figure.update_layout(height=110 + 34 * len(stages))
+    seconds, names = np.array([*stages.values()]), [draw.label(name) for name in stages]
+    title, texts = f"Time per stage<br><sub>{total:.2f} s in total</sub>", [f"{s:.2f} s" for s in seconds]
+    figure = draw.bars(title, seconds, names, texts, "time (s)", [True] * len(stages))
     longest = max(stages, key=lambda name: stages[name])
     return draw.described(
         figure, f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s."
@@ -227,29 +215,18 @@ def _traces(
     if not len(link_base):
         return traces
     rows = draw.thinned(len(link_base), MAX_LINKS)
-    ends = [
-        ("keypoints of base", link_base, draw.BASE_COLOR, "square-open", 7),
-        ("keypoints of target", link_target, draw.TARGET_COLOR, "diamond-open", 7),
-    ]
-    traces += [
-        draw.points3d(
-            p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name", **ASKED_FOR
-        )
-        for name, p, color, symbol, size in ends
-    ]
-    line = {"color": draw.LINK_COLOR, "width": 4}
+    line, style = {"color": draw.LINK_COLOR, "width": 4}, {"hoverinfo": "name", **ASKED_FOR}
     return [
         *traces,
+        draw.marks3d(link_base[rows], "keypoints of base", draw.BASE_COLOR, "square-open", 7, **style),
+        draw.marks3d(link_target[rows], "keypoints of target", draw.TARGET_COLOR, "diamond-open", 7, **style),
         draw.curves3d(draw.between(link_base[rows], link_target[rows]), name="links", line=line, **ASKED_FOR),
     ]
 
 
 def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> Any:
     rows = draw.thinned(len(survey), MAX_SCENE_SAMPLES)
-    return draw.points3d(
-        p[rows],
-        name=draw.label(name),
-        marker={"size": 2 if len(rows) < 1000 else 1.5, "color": color, "symbol": symbol, "opacity": 0.75},
-        customdata=draw.for_display(draw.magnitude_ut(survey.field[rows])),
-        hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT",
-    )
+    size, magnitude = 2 if len(rows) < 1000 else 1.5, draw.for_display(draw.magnitude_ut(survey.field[rows]))
+    hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT"
+    style = {"customdata": magnitude, "hovertemplate": hover}
+    return draw.marks3d(p[rows], draw.label(name), color, symbol, size, opacity=0.75, **style)

@@ -26,7 +26,7 @@ from magmatch.viz.figures.certainty_figures import (
 )
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.slices import map_in
-from magmatch.viz.pages.page import Section, again, details, figure_row, note, paragraph, table, with_terms
+from magmatch.viz.pages import page
 from magmatch.viz.verdict import percent
 
 # Other poses that are listed, and samples that give their numbers.
@@ -73,60 +73,62 @@ def figures_table(result: RegistrationResult) -> str:
     others.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
     others.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
     others += [*_sensor(result.sensor or Sensor()), *_weighed(result)]
-    return table(rows, named=with_terms) + details("Numbers behind the decision", table(others, named=with_terms))
+    return page.table(rows, named=page.with_terms) + page.details(
+        "Numbers behind the decision", page.table(others, named=page.with_terms)
+    )
 
 
 def transform_table(result: RegistrationResult) -> str:
     """The transform, or that there is none."""
     T = result.T_base_target
     if T is None:
-        return paragraph("No transform: none was accepted.")
+        return page.paragraph("No transform: none was accepted.")
     rows = [["Turned by", turn_words(T)], ["Moved by", ", ".join(f"{t:.4f}" for t in T.translation) + " m"]]
     matrix = [[name, *(f"{v:.5f}" for v in row)] for name, row in zip("xyz1", T.as_matrix(), strict=True)]
-    words = paragraph("T_base_target, with p_base = T_base_target p_target:")
-    return table(rows) + words + table(matrix, ["", "x", "y", "z", "shift (m)"])
+    words = page.paragraph("T_base_target, with p_base = T_base_target p_target:")
+    return page.table(rows) + words + page.table(matrix, ["", "x", "y", "z", "shift (m)"])
 
 
-def certainty(result: RegistrationResult, target: Survey | None) -> list[Section]:
+def certainty(result: RegistrationResult, target: Survey | None) -> list[page.Section]:
     """Ellipsoids of position and rotation, in words, pictures and numbers; empty if there is no covariance."""
     T = result.T_base_target
     title = "Uncertainty"
     if T is None:
         return []
     if result.covariance is None:
-        return [Section(title, [note("The result has no covariance: the published method gives none.")])]
+        return [page.Section(title, [page.note("The result has no covariance: the published method gives none.")])]
     blocks = []
     if target is not None:
         place, turn = ellipsoids_at(result.covariance, T, target.centroid)
         where = "around the centroid of the target's samples, base axes"
         blocks = [
-            paragraph(_ellipsoid_words(place, turn)),
-            figure_row(
+            page.paragraph(_ellipsoid_words(place, turn)),
+            page.figure_row(
                 [
                     ellipsoid_figure(place, "Position of the target", "mm", MM, where),
                     ellipsoid_figure(turn, "Rotation of the target", "deg", DEG, "rotation vector in base axes"),
                 ]
             ),
         ]
-    origin = note("Square roots of the covariance's diagonal. A distant origin makes the shifts large.")
-    deviations = table(_deviations(result.covariance, result.standard_deviations)) + origin
-    blocks.append(details("Standard deviations in the target's axes, about its frame's origin", deviations))
-    return [Section(title, blocks)]
+    origin = page.note("Square roots of the covariance's diagonal. A distant origin makes the shifts large.")
+    deviations = page.table(_deviations(result.covariance, result.standard_deviations)) + origin
+    blocks.append(page.details("Standard deviations in the target's axes, about its frame's origin", deviations))
+    return [page.Section(title, blocks)]
 
 
-def free_directions(result: RegistrationResult, base: Survey, target: Survey) -> list[Section]:
+def free_directions(result: RegistrationResult, base: Survey, target: Survey) -> list[page.Section]:
     """Pictures of the free directions."""
     T = shown_pose(result)
     if T is None or not result.degenerate_directions:
         return []
     figures = [free_figure(base, target, T, free) for free in result.degenerate_directions]
     words = f"The data do not constrain the pose against {_listed([d.words for d in result.degenerate_directions])}."
-    return [Section("Free directions", [paragraph(words), figure_row(figures)])]
+    return [page.Section("Free directions", [page.paragraph(words), page.figure_row(figures)])]
 
 
 def other_poses(
     result: RegistrationResult, base: Survey | FieldMap | None, target: Survey | FieldMap | None
-) -> list[Section]:
+) -> list[page.Section]:
     """Rival poses with their numbers; the best candidate first if nothing was accepted."""
     if not result.alternatives:
         return []
@@ -158,14 +160,14 @@ def other_poses(
     words += "Distances refer to the target's centroid. " if target is not None else ""
     words += f"The result file lists {left} more." if left else ""
     rows = [list(row) for row in zip(*told.values(), strict=True)]
-    blocks = [paragraph(words), table(rows, list(told))]
+    blocks = [page.paragraph(words), page.table(rows, list(told))]
     drawn = [other.T_base_target for other in listed[:MAX_DRAWN_POSES] if other.base is None]
     if base is not None and survey is not None and drawn and not any(other.base for other in listed):
-        blocks.append(figure_row([poses_figure(survey_of(base), survey, drawn)]))
-    return [Section("Other poses", blocks)]
+        blocks.append(page.figure_row([poses_figure(survey_of(base), survey, drawn)]))
+    return [page.Section("Other poses", blocks)]
 
 
-def reproduced(result: RegistrationResult, command: str | None) -> Section:
+def reproduced(result: RegistrationResult, command: str | None) -> page.Section:
     """Command, inputs and settings that reproduce the result."""
     names = [str(entry.get("name", "?")) for entry in result.inputs]
     if command is None:
@@ -179,8 +181,8 @@ def reproduced(result: RegistrationResult, command: str | None) -> Section:
         f"magmatch {result.version}, seed {result.seed}. The same input, settings and seed give the same "
         "transform. Save the settings below as settings.yaml, or pass the result file itself to --config."
     )
-    listed = [table(inputs, ["input", "SHA-256"])] if inputs else []
-    return again("Reproduce this result", words, command, result.config, *listed)
+    listed = [page.table(inputs, ["input", "SHA-256"])] if inputs else []
+    return page.again("Reproduce this result", words, command, result.config, *listed)
 
 
 def turn_words(T: RigidTransform) -> str:
