@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.number_text import chance
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult, Sensor
 from magmatch.registration.sensor_calibration import in_words as calibration_words
@@ -27,7 +28,6 @@ from magmatch.viz.figures.certainty_figures import (
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.slices import map_in
 from magmatch.viz.pages import page
-from magmatch.viz.verdict import percent
 
 # Other poses that are listed, and samples that give their numbers.
 MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500
@@ -59,7 +59,7 @@ def answer_words(result: RegistrationResult) -> str:
 
 def figures_table(result: RegistrationResult) -> str:
     """Key figures; those for specialists are collapsed."""
-    rows = [["Probability", "not computed" if result.probability is None else percent(result.probability)]]
+    rows = [["Probability", "not computed" if result.probability is None else chance(result.probability)]]
     if result.base is not None:
         rows.insert(0, ["In map", result.base])
     rows.append(["Overlap", f"{result.overlap:.0%} of the target's samples"])
@@ -72,7 +72,9 @@ def figures_table(result: RegistrationResult) -> str:
     )
     others.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
     others.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
-    others += [*_sensor(result.sensor or Sensor()), *_weighed(result)]
+    others += _sensor(result.sensor or Sensor())
+    weighed = {name: f"{value:.4g}" for name, value in result.evidence.items() if value is not None}
+    others += [[EVIDENCE.get(name, name.replace("_", " ")), text] for name, text in weighed.items()]
     return page.table(rows, named=page.with_terms) + page.details(
         "Numbers behind the decision", page.table(others, named=page.with_terms)
     )
@@ -122,7 +124,7 @@ def free_directions(result: RegistrationResult, base: Survey, target: Survey) ->
     if T is None or not result.degenerate_directions:
         return []
     figures = [free_figure(base, target, T, free) for free in result.degenerate_directions]
-    words = f"The data do not constrain the pose against {_listed([d.words for d in result.degenerate_directions])}."
+    words = f"The data do not constrain the pose against {', '.join(d.words for d in result.degenerate_directions)}."
     return [page.Section("Free directions", [page.paragraph(words), page.figure_row(figures)])]
 
 
@@ -138,7 +140,7 @@ def other_poses(
     columns: dict[str, list[str]] = {
         "": [str(k + 1) for k in range(len(listed))],
         "map": [other.base or result.base or "" for other in listed],
-        "probability": ["" if other.probability is None else percent(other.probability) for other in listed],
+        "probability": ["" if other.probability is None else chance(other.probability) for other in listed],
         "log odds (nats)": ["" if other.log_odds is None else f"{other.log_odds:.1f}" for other in listed],
         "turned by": [turn_words(other.T_base_target) for other in listed],
         "moved by (m)": [", ".join(f"{t:.3f}" for t in other.T_base_target.translation) for other in listed],
@@ -213,24 +215,11 @@ def _deviations(covariance: Matrix, best: tuple[float, float] | None) -> list[li
     return [["where the data constrain it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
 
 
-def _weighed(result: RegistrationResult) -> list[list[str]]:
-    """The figures from which the probability was computed."""
-    return [
-        [EVIDENCE.get(name, name.replace("_", " ")), f"{value:.4g}"]
-        for name, value in result.evidence.items()
-        if value is not None
-    ]
-
-
 def _apart(first: RigidTransform | None, T: RigidTransform, center: np.ndarray) -> str:
     if first is None or first is T:
         return ""
     angle = np.rad2deg((first.rotation.inv() * T.rotation).magnitude())
     return f"{np.linalg.norm(first.apply(center) - T.apply(center)):.3g} m, {angle:.1f} deg"
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
 
 
 def _sensor(sensor: Sensor) -> list[list[str]]:
