@@ -36,7 +36,6 @@ class Coverage:
     """A map evaluated at points throughout the box around its samples."""
 
     known_share: float  # share of the box that the map knows
-    volume: float  # m^3: of the box
     sd: Scalars  # (n,), T: standard deviation of one component of the field at the known points, increasing
     variation: float  # T: standard deviation of one component over the samples: the error of a map without structure
 
@@ -64,7 +63,6 @@ def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Sca
     n = int(is_known.sum())
     coverage = Coverage(
         known_share=float(is_known.mean()),
-        volume=float(size.prod()),
         sd=np.sort(sd[:n]),
         variation=float(np.sqrt(field_map.survey.field.var(axis=0).mean())),
     )

@@ -129,5 +129,5 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
 
 def _samples(p: Points, name: str | None) -> Any:
     some = p[draw.thinned(len(p), MAX_SAMPLES)]
-    style = {"showlegend": name is not None, "hoverinfo": "skip"}
-    return draw.marks3d(some, name, draw.QUIET, draw.BASE_MARKER, 1, **style)
+    has_entry = name is not None
+    return draw.marks3d(some, name, draw.QUIET, draw.BASE_MARKER, 1, showlegend=has_entry, hoverinfo="skip")

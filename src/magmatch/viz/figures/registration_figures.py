@@ -215,7 +215,8 @@ def _traces(
     if not len(link_base):
         return traces
     rows = draw.thinned(len(link_base), MAX_LINKS)
-    line, style = {"color": draw.LINK_COLOR, "width": 4}, {"hoverinfo": "name", **ASKED_FOR}
+    style: dict[str, Any] = {"hoverinfo": "name", **ASKED_FOR}
+    line = {"color": draw.LINK_COLOR, "width": 4}
     return [
         *traces,
         draw.marks3d(link_base[rows], "keypoints of base", draw.BASE_COLOR, "square-open", 7, **style),
