@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from magmatch.arguments import expect_kind
 from magmatch.data.order import has_order
@@ -12,6 +12,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
+from magmatch.viz.figures.draw import Figure
 from magmatch.viz.figures.map_figures import field_figures
 from magmatch.viz.figures.registration_figures import links_figure, scene_figures
 from magmatch.viz.figures.slices import map_in
@@ -19,15 +20,12 @@ from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
 from magmatch.viz.pages import page
 from magmatch.viz.pages.map_page import map_sections
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 
 def view(
     thing: Survey | FieldMap | RegistrationResult,
     base: Survey | FieldMap | None = None,
     target: Survey | FieldMap | None = None,
-) -> "Figure":
+) -> Figure:
     """Draw a survey, a map, or a result with its surveys; a notebook displays the figure.
 
     Parameters

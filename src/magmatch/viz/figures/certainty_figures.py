@@ -7,7 +7,7 @@ a large shift there. At the centroid c of the samples ``xi = (theta, rho)`` move
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -22,9 +22,6 @@ from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Matrix, Points, Scalars, Vector3
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import cut_through
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 # Share of the probability inside an ellipsoid that is drawn.
 LEVEL = 0.95
@@ -95,7 +92,7 @@ def _ellipsoid(covariance: Matrix) -> Ellipsoid:
     return Ellipsoid(scale * np.sqrt(np.maximum(power[::-1], 0)), vectors[:, ::-1].T)
 
 
-def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> "Figure":
+def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> draw.Figure:
     """Draw an ellipsoid with its axes."""
     surface = scale * ellipsoid.surface()
     rings, meridians = [*surface[2:-2:2]], [*surface.swapaxes(0, 1)[:-1:4]]
@@ -117,7 +114,9 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
     )
 
 
-def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection) -> "Figure":
+def free_figure(
+    base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection
+) -> draw.Figure:
     """Draw a free direction: the target moved both ways along it."""
     p_target = target.positions[draw.thinned(len(target), MAX_SWEPT)]
     reach = SWEEP * float(np.ptp(p_target, axis=0).max())
@@ -139,7 +138,7 @@ def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, fre
     return draw.described(draw.new_scene(title, traces, note), words)
 
 
-def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":
+def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> draw.Figure:
     """Draw the target under each of several poses: numbered outlines, or paths, in plan view."""
     p_target = target.positions[draw.thinned(len(target), MAX_SWEPT)]
     lain = [transform_points(p_target, T) for T in poses]

@@ -3,7 +3,7 @@
 
 from html import escape
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from magmatch.geometry import near_origin
 from magmatch.number_text import told
 from magmatch.typing import Indices, Points, Scalars, Vector3, Vectors
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
+# Plotly's figure: Plotly has no types, and is imported when something is drawn.
+Figure: TypeAlias = Any
 
 # Told apart by every kind of colour vision and on a grey printout: lightness differs by a contrast of three, to each
 # other and to the paper. Marker shapes differ as well.
@@ -122,7 +122,7 @@ def flat(p: np.ndarray, mode: str = "markers", **style: Any) -> Any:
     return require_plotly().Scatter(x=x, y=y, mode=mode, **style)
 
 
-def described(figure: "Figure", words: str) -> "Figure":
+def described(figure: Figure, words: str) -> Figure:
     """Give a figure the words that stand for it where it cannot be seen."""
     figure.layout.meta = {**(figure.layout.meta or {}), "alt": words}
     return figure
@@ -144,7 +144,7 @@ def coloured_by_field(magnitude: Scalars, limits: tuple[float, float]) -> dict[s
     return colors | {"colorbar": colorbar("uT")}
 
 
-def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> "Figure":
+def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> Figure:
     """Put traces into a 3-D figure with equal scales, about an origin near them that its axes name."""
     points = [np.column_stack([t.x, t.y, t.z]) for t in traces]
     origin = origin_of(*points)
@@ -199,9 +199,7 @@ def _camera(aspect: np.ndarray) -> dict[str, Any]:
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
-def bars(
-    title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool]
-) -> "Figure":
+def bars(title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool]) -> Figure:
     """Numbers above 0 as named bars below each other, the first at the top; those that are not filled are hatched."""
     marker = {"color": BASE_COLOR, "pattern": {"shape": ["" if is_filled else "/" for is_filled in filled]}}
     bar = require_plotly().Bar(
@@ -215,7 +213,7 @@ def bars(
     return figure
 
 
-def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":
+def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> Figure:
     """Put traces into a flat figure."""
     figure = require_plotly().Figure(traces)
     figure.update_layout(**_layout(title), height=400, legend={"orientation": "h", "x": 0, **AT_THE_FOOT})

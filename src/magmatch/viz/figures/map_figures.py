@@ -2,7 +2,6 @@
 """Pictures of one map: the field on cuts, how well it is known where, and the comparison of priors."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from magmatch.viz.figures.slices import (
     magnitude_slice,
     slice_figure,
 )
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 # Points of the box at which the map is evaluated.
 N_ASKED = 6000
@@ -79,7 +75,7 @@ def _rows(survey: Survey) -> np.ndarray:
     return np.ascontiguousarray(np.hstack([survey.positions, survey.field]))
 
 
-def field_figures(field_map: FieldMap) -> "list[Figure]":
+def field_figures(field_map: FieldMap) -> list[draw.Figure]:
     """Magnitude on every cut worth drawing, and the three components on the main one."""
     p, limits = field_map.survey.positions, common_limits(draw.magnitude_ut(field_map.survey.field))
     main = cut_through(p)
@@ -97,7 +93,7 @@ def field_figures(field_map: FieldMap) -> "list[Figure]":
     return figures
 
 
-def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
+def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> draw.Figure:
     """Standard deviation of a component on a cut, with the samples nearest to it."""
     p = field_map.survey.positions
     sd, is_known = draw.UT_PER_TESLA * sd, field_map.knows(cut.points)
@@ -111,7 +107,7 @@ def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
     )
 
 
-def coverage_figure(coverage: Coverage) -> "Figure":
+def coverage_figure(coverage: Coverage) -> draw.Figure:
     """Cumulative distribution of the standard deviation over the known part."""
     sd = draw.UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
     share = np.linspace(0, 1, len(sd))
@@ -127,7 +123,7 @@ def coverage_figure(coverage: Coverage) -> "Figure":
     return draw.described(figure, words)
 
 
-def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
+def comparison_figure(errors: dict[str, float], taken: str) -> draw.Figure:
     """Error on held-out data by prior: bars, the chosen one filled, the others hatched."""
     names = sorted(errors, key=lambda name: errors[name])
     values: Scalars = draw.UT_PER_TESLA * np.array([errors[name] for name in names])

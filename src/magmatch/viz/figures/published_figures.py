@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of the published method: keypoints of both maps with their links, det H, and local frames in the field."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from magmatch.typing import Indices, Points
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import common_limits, cut_normal_to, cut_through, heatmap, hollow_marks
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 # Samples that show where each map lies, and arrows that can still be told apart.
 MAX_SAMPLES, MAX_ARROWS = 1500, 400
 # Gap between both maps, of the wider one.
@@ -28,7 +25,9 @@ GAP = 0.25
 AXES = ("#D62728", "#2CA02C", "#1F77B4")
 
 
-def published_figures(base: FieldMap, target: FieldMap, links: Links, config: PublishedConfig) -> "dict[str, Figure]":
+def published_figures(
+    base: FieldMap, target: FieldMap, links: Links, config: PublishedConfig
+) -> dict[str, draw.Figure]:
     """Keypoints of both maps with their links, and what is behind those of the base, by name."""
     # Asked again: a result keeps the links alone.
     base, target = (recursively(m) if config.is_recursive else m for m in (base, target))
@@ -43,7 +42,7 @@ def published_figures(base: FieldMap, target: FieldMap, links: Links, config: Pu
 
 def linked_keypoints_figure(
     base: Inferred, target: Inferred, base_rows: Indices, target_rows: Indices, links: Links
-) -> "Figure":
+) -> draw.Figure:
     """Both maps side by side in space, each in its own frame, with all keypoints and lines between matching ones."""
     sides = [one.field_map.survey.positions for one in (base, target)]
     width = max(float(np.ptp(p[:, 0])) for p in sides)
@@ -70,7 +69,7 @@ def linked_keypoints_figure(
     return draw.described(figure, f"Base (left) and target (right) in space with {counts} between them.")
 
 
-def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
+def curvature_figure(inferred: Inferred, rows: Indices) -> draw.Figure:
     """Determinant of the Hessian of |B| on the layer of X* with most keypoints, and those keypoints."""
     p = inferred.field_map.survey.positions
     normal = cut_through(p).axes[2]
@@ -97,7 +96,7 @@ def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
     return draw.described(figure, f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints.")
 
 
-def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices | None = None) -> "Figure":
+def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices | None = None) -> draw.Figure:
     """The field at X* as arrows, and the local frames of chosen keypoints: rows of ``frames``, by default eight."""
     go, some = draw.require_plotly(), draw.thinned(len(inferred), MAX_ARROWS)
     p, b = inferred.positions[some], inferred.field[some]

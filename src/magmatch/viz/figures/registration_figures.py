@@ -2,7 +2,7 @@
 """Pictures of a registration: both surveys before and after, and the field of both maps on one cut."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -24,9 +24,6 @@ from magmatch.viz.figures.slices import (
     slice_figure,
 )
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 # Hidden until its entry in the legend is clicked.
 ASKED_FOR = {"visible": "legendonly", "showlegend": True}
 # Few enough that single links can be followed.
@@ -42,7 +39,7 @@ def shown_pose(result: RegistrationResult) -> RigidTransform | None:
     return next((other.T_base_target for other in result.alternatives if other.base is None), None)
 
 
-def links_figure(result: RegistrationResult) -> "Figure":
+def links_figure(result: RegistrationResult) -> draw.Figure:
     """Corresponding points of both sides in the frame of the base: all that a result alone can show."""
     T_base_target, links = shown_pose(result), result.links
     if T_base_target is None or not len(links.base):
@@ -58,7 +55,7 @@ def links_figure(result: RegistrationResult) -> "Figure":
     )
 
 
-def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
+def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> list[draw.Figure]:
     """Both surveys in one picture: as recorded, and with the target in the base's frame."""
     links = result.links
     off_base, off_target = draw.origins_of(base.positions, target.positions)
@@ -93,7 +90,7 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
     return [before, after]
 
 
-def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "list[Figure]":
+def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> list[draw.Figure]:
     """Field magnitude of both maps on one cut of the base frame, and how far their vectors differ."""
     T_base_target = shown_pose(result)
     p_base = base_map.survey.positions
@@ -119,7 +116,7 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     ]
 
 
-def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "Figure | None":
+def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> draw.Figure | None:
     """Both maps side by side, each in its own frame, with lines between matching keypoints."""
     n_links = len(result.links.base)
     if not n_links:
@@ -162,7 +159,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     )
 
 
-def time_figure(result: RegistrationResult) -> "Figure | None":
+def time_figure(result: RegistrationResult) -> draw.Figure | None:
     """Seconds per stage; None where they were not measured."""
     stages = {name: s for name, s in result.seconds.items() if name != "total"}
     if not stages:
