@@ -36,6 +36,19 @@ def told(number: float, digits: int = 15, step: float | None = None) -> str:
     return f"{number:.{digits}g}"
 
 
+def chance(probability: float) -> str:
+    """A probability with three digits, never rounded to certainty.
+
+    Examples
+    --------
+    >>> chance(0.0314), chance(1e-7), chance(1.0)
+    ('0.031', 'below 0.001', 'above 0.999')
+    """
+    if probability < 0.001:
+        return "below 0.001"
+    return "above 0.999" if probability > 0.999 else f"{probability:.3f}"
+
+
 def many(n: int, what: str) -> str:
     """A count with its noun, whose plural ends in s.
 

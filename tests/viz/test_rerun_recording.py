@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.registration.result import Links
-from magmatch.viz.rerun_recording import N_STEPS, box_of, scene_of, shaded, write_rerun
+from magmatch.viz.rerun_recording import N_STEPS, scene_of, shaded, write_rerun
 
 
 @pytest.fixture
@@ -38,14 +38,6 @@ def test_shades_rise_in_lightness_and_stay_within_their_range():
     assert (np.diff(grey) > 0).all()
     colors = shaded(np.array([-1e9, 0.0, 1.0, 1e9]), (0.0, 1.0))
     np.testing.assert_array_equal(colors[[0, 3]], colors[[1, 2]])
-
-
-def test_the_box_holds_both_surveys_where_they_belong(shown, pair):
-    low, high = box_of(shown)
-    T = pair.accepted.T_base_target
-    for p in (pair.base.positions, T.apply(pair.target.positions)):
-        assert (p >= low).all()
-        assert (p <= high).all()
 
 
 def test_names_of_parts_cannot_nest_or_repeat(pair):

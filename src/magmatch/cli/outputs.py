@@ -13,36 +13,38 @@ from magmatch.errors import ConfigurationError, DataFormatError
 
 
 def check_outputs(
-    outputs: Iterable[Path | None], inputs: Iterable[Path | None] = (), *, page: Path | None = None
+    outputs: Iterable[Path | None],
+    inputs: Iterable[Path | None] = (),
+    *,
+    page: Path | None = None,
+    recording: Path | None = None,
 ) -> None:
-    """Make sure that results can be written to their paths, and a page be drawn, before any work is done."""
+    """Make sure that results, a page and a recording for Rerun can be made, before any work is done."""
     if page is not None and page.suffix.lower() not in ("", ".html", ".htm"):
         msg = f"{page}: a page is HTML, expected a name that ends in .html"
         raise ConfigurationError(msg)
     taken = {real_path(path): "an input" for path in inputs if path is not None}
-    for path in (*outputs, page):
+    for path in (*outputs, page, recording):
         if path is None:
             continue
         place = real_path(path)
         if place in taken:
             msg = f"{path}: would overwrite {taken[place]}; give it another name"
             raise ConfigurationError(msg)
-        check_output(path)
+        if path.is_dir():
+            raise DataFormatError(path, "is a folder, expected the name of a file to write")
+        if place.is_file() or not path.exists():
+            _try_to_write(place.parent, path)
         if not place.exists() or place.is_file():  # two results may share a device such as /dev/stdout
             taken[place] = "another result"
     if page is not None:
         from magmatch.viz.figures.draw import require_plotly
 
         require_plotly()
+    if recording is not None:
+        from magmatch.viz.rerun_recording import require_rerun
 
-
-def check_output(path: Path) -> None:
-    """Make sure that one file can be written."""
-    if path.is_dir():
-        raise DataFormatError(path, "is a folder, expected the name of a file to write")
-    if path.exists() and not path.is_file():
-        return
-    _try_to_write(real_path(path).parent, path)
+        require_rerun()
 
 
 def check_folder(path: Path) -> None:

@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from magmatch.cli import STARTED
+from magmatch.number_text import chance
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -68,7 +69,7 @@ def _motion(T: "RigidTransform", sd: tuple[float, float] | None) -> str:
 
 def _figures(result: "RegistrationResult") -> str:
     """Probability, overlap, residual and counts on one line."""
-    parts = [] if result.probability is None else [f"probability {_probability(result.probability)}"]
+    parts = [] if result.probability is None else [f"probability {chance(result.probability)}"]
     parts += [f"overlap {result.overlap:.0%}"]
     parts += [] if result.residual is None else [f"normalised residual {result.residual:.2f}"]
     parts += [] if result.fitness is None else [f"fitness {result.fitness:.3g}"]
@@ -76,12 +77,3 @@ def _figures(result: "RegistrationResult") -> str:
     if not result.is_accepted and result.alternatives:
         parts += ["best candidate under 'alternatives' of the JSON"]
     return ", ".join(parts)
-
-
-def _probability(value: float) -> str:
-    """Three digits, never rounded to certainty."""
-    if value < 0.001:
-        return "below 0.001"
-    if value > 0.999:
-        return "above 0.999"
-    return f"{value:.3f}"

@@ -18,14 +18,6 @@ if TYPE_CHECKING:
     from magmatch.slam.session import Session
 
 
-def require_recording(rerun: Path | None) -> None:
-    """Require the package that writes the recording, before the work begins."""
-    if rerun is not None:
-        from magmatch.viz.rerun_recording import require_rerun
-
-        require_rerun()
-
-
 def deliver(
     session: "Session",
     out: Path,

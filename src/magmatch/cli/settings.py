@@ -152,10 +152,8 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 def _parsed(path: Path) -> Any:
     """Content of a YAML file, or of a result, which is JSON: a YAML parser would take a hundred times longer."""
-    import yaml
-
-    from magmatch.data.tables.text import read_bytes, text_lines
-    from magmatch.data.tables.yaml_text import load_yaml
+    from magmatch.data.tables.text import read_bytes
+    from magmatch.data.tables.yaml_text import read_yaml
 
     raw = read_bytes(path, MAX_RESULT_BYTES + 1)
     if raw[:1] == b"{":
@@ -163,15 +161,7 @@ def _parsed(path: Path) -> Any:
             return json.loads(raw)
     if len(raw) > MAX_BYTES:
         raise DataFormatError(path, f"is larger than any settings ({MAX_BYTES} bytes)")
-    try:
-        return load_yaml("\n".join(text_lines(path, raw)))
-    except yaml.MarkedYAMLError as error:
-        line = None if error.problem_mark is None else error.problem_mark.line + 1
-        raise DataFormatError(path, f"is not YAML: {error.problem or error.context}", line=line) from None
-    except DataFormatError:
-        raise
-    except (yaml.YAMLError, ValueError) as error:
-        raise DataFormatError(path, f"is not YAML: {' '.join(str(error).split())[:200]}") from None
+    return read_yaml(path, raw)
 
 
 def _known_names(model: type[BaseModel], place: Sequence[int | str]) -> str:

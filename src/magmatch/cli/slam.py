@@ -12,7 +12,7 @@ from magmatch.cli.inputs import logs_in, read_poses_of, require_own_poses
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, processes, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
-from magmatch.cli.sessions import deliver, require_recording
+from magmatch.cli.sessions import deliver
 from magmatch.cli.settings import merged
 
 if TYPE_CHECKING:
@@ -105,8 +105,7 @@ def slam(
     asked, logs = logs, logs_in(logs)
     require_own_poses(logs, layouts, "LOG")
     check_folder(out)
-    check_outputs([rerun], logs)
-    require_recording(rerun)
+    check_outputs((), logs, recording=rerun)
     settings = merged(SlamConfig(), config).model_copy(update=switches)
     settings = with_odometry_sd(settings, odometry_sd or [], logs)
     surveyed = [] if anchors is None else read_anchors(anchors)

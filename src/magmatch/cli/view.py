@@ -52,12 +52,7 @@ def view(
     from magmatch.data.formats.sniff import sniff
 
     goal = out or (None if rerun else free_name(files[0].stem, ".html"))
-    check_outputs((rerun,), inputs=files, page=goal)
-    # Before any work is done.
-    if rerun is not None:
-        from magmatch.viz.rerun_recording import require_rerun
-
-        require_rerun()
+    check_outputs((), inputs=files, page=goal, recording=rerun)
     results = [path for path in files if sniff(path) == "registration"]
     others = [path for path in files if path not in results]
     if len(results) > 1 or (results and len(others) not in {0, 2}):
@@ -78,7 +73,14 @@ def view(
     if result is not None:
         drawn = [_mapped(item, result, side) for item, side in zip(drawn, ("base", "target"), strict=False)]
     if goal is not None:
-        _write_page(goal, drawn, result)
+        from magmatch.viz.pages.registration_page import write_report
+        from magmatch.viz.view import write_view
+
+        if result is None:
+            write_view(goal, drawn)
+        else:
+            base, target = drawn or (None, None)
+            write_report(goal, base, target, result)
         put(str(goal))
     if rerun is not None:
         from magmatch.viz.rerun_recording import scene_of, write_rerun
@@ -100,14 +102,3 @@ def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) 
         return as_map(item if used is as_given else used, RegistrationConfig.model_validate(result.config).field)
     except (SurveyError, ValidationError):
         return item
-
-
-def _write_page(goal: Path, drawn: "list[Survey | FieldMap]", result: "RegistrationResult | None") -> None:
-    from magmatch.viz.pages.registration_page import write_report
-    from magmatch.viz.view import write_view
-
-    if result is None:
-        write_view(goal, drawn)
-    else:
-        base, target = drawn or (None, None)
-        write_report(goal, base, target, result)

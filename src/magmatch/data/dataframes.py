@@ -2,7 +2,7 @@
 """Tables of other libraries: a DataFrame (pandas, polars) or an xarray Dataset as a table of numbers."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,24 +47,24 @@ def table_of_frame(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str,
     # A missing cell equals nothing, not even itself.
     words = {FRAME_COLUMN: ["" if w is None or w != w else str(w) for w in frames]}  # noqa: PLR0124
     table = chosen.of(Table(Path(name), tuple(map(str, df.columns)), columns, np.arange(1, len(df) + 1), (), words))
-    if not table.has("t") and (times := _times_of_index(df, name)) is not None:
-        table.columns["t"] = _numbers(times, "t", name, len(df), per_second)
+    index: Any = getattr(df, "index", None)
+    unnamed = [index.get_level_values(k) for k in range(getattr(index, "nlevels", 0))]
+    called = ("without a name" if level.name is None else f"'{level.name}'" for level in unnamed)
+    said = [f"{one} is left out; if it holds the times, name it t" for one in called]
+    if not table.has("t") and (k := level_of_dates(unnamed, said, name)) is not None:
+        table.columns["t"] = _numbers(unnamed[k], "t", name, len(df), per_second)
     warn_of_unused_times(table)
     return table
 
 
-def _times_of_index(df: Any, name: str) -> Any:
-    """Increasing dates in an index that is named otherwise or not at all; other times it may hold are warned of."""
-    index: Any = getattr(df, "index", None)
-    for k in range(getattr(index, "nlevels", 0)):
-        level = index.get_level_values(k)
+def level_of_dates(levels: Sequence[Any], left_out: Sequence[str], path: str | Path) -> int | None:
+    """Which level of an index, none named t, holds increasing dates; a warning names others that may be times."""
+    for k, level in enumerate(levels):
         kind = getattr(level.dtype, "kind", "")
-        if kind == "M" and level.is_monotonic_increasing and level.is_unique and not level.hasnans:
-            return level
+        if kind == "M" and (np.diff(seconds_of_dates(level)) > 0).all():
+            return k
         if kind not in ("i", "u") or (len(level) and max(abs(level.min()), abs(level.max())) >= SINCE_1970[0]):
-            called = "without a name" if level.name is None else f"'{level.name}'"
-            words = "%s: has no column t, and its index %s is left out; if it holds the times, name it t"
-            logger.warning(words, name, called)
+            logger.warning("%s: has no column t, and its index %s", path, left_out[k])
     return None
 
 

@@ -143,7 +143,10 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
         q = Rotation.from_euler("z", walked.heading[:, None])
         conventions = {DECLARED: Turned(field, None, q), "carried": Turned(field, q, q)}
     found = mistake_made(survey.positions, conventions) if conventions else None
-    if found is not None and (lag := _lag(survey, found, conventions)) is not None:
+    lag = None
+    if found is not None and survey.times is not None and survey.orientations is not None:
+        lag = lag_instead(survey.positions, conventions[DECLARED], survey.times, found)
+    if lag is not None:
         behind = "late" if lag > 0 else "early"
         measured = f"the field vectors look about {abs(lag):.1g} s {behind} against the poses"
         yield Diagnosis("clocks", measured, "magmatch prepare estimates the offset of the clocks")
@@ -156,13 +159,6 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
             yield Diagnosis("turning", measured, MISTAKES["carried"][2])
     elif own >= HALF and walked is not None:
         yield from _of_two_frames(walked, survey.orientations, own)
-
-
-def _lag(survey: Survey, found: Found, conventions: Mapping[str, Turned]) -> float | None:
-    """The offset between the clocks of readings and poses that explains the vectors as well as what was found, s."""
-    if survey.times is None or survey.orientations is None:
-        return None
-    return lag_instead(survey.positions, conventions[DECLARED], survey.times, found)
 
 
 def _of_two_frames(walked: "_Walked", orientations: Rotation, own: float) -> Iterator[Diagnosis]:
@@ -219,9 +215,12 @@ def _of_axes(alike: tuple[FrameMistake, ...], read: Turned) -> str:
     """Say how to read the axes; which way the field points along z tells the sign that scatter does not."""
     if len(alike) > MOST_WAYS:
         return "the motion does not tell which way: state how the sensor is mounted (--extrinsic)"
-    ways = [_downward(AXES[one.axes], read) for one in alike]
+    # All axes are reversed where the field would point up steeply, as it does in few of the places surveyed.
+    points_up = (inclination_deg(read.mean(AXES[one.axes])) < -PLAUSIBLE_BEND for one in alike)
+    ways = [-AXES[one.axes] if is_up else AXES[one.axes] for one, is_up in zip(alike, points_up, strict=True)]
     listed = " or ".join(f"({named(axes)})" for axes in ways)
-    options = "--columns " + ",".join(f"b{x}={way}" for x, way in zip("xyz", _named_columns(ways[0]), strict=True))
+    theirs = [way.replace(way[-1], f"b{way[-1]}") for way in named(ways[0]).split(", ")]  # such as -by
+    options = "--columns " + ",".join(f"b{x}={way}" for x, way in zip("xyz", theirs, strict=True))
     if len(ways) > 1:
         options = (
             "the motion does not tell which, its data sheet or mount does (--columns with a minus, or --extrinsic)"
@@ -230,16 +229,6 @@ def _of_axes(alike: tuple[FrameMistake, ...], read: Turned) -> str:
         options = f"{_extrinsic(Rotation.from_matrix(ways[0]))} or {options}"
     also = "; where the field points up along z, as south of the magnetic equator, all three signs are reversed"
     return f"x, y, z are {listed} of what is read: {options}{also}"
-
-
-def _downward(axes: np.ndarray, read: Turned) -> np.ndarray:
-    """The axes, or all of them reversed if the field would point up steeply, as in most of the places surveyed."""
-    return -axes if inclination_deg(read.mean(axes)) < -PLAUSIBLE_BEND else axes
-
-
-def _named_columns(axes: np.ndarray) -> list[str]:
-    """The field's columns that the rows are, such as ``-by``."""
-    return [way.replace(way[-1], f"b{way[-1]}") for way in named(axes).split(", ")]
 
 
 def _extrinsic(turn: Rotation) -> str:

@@ -3,18 +3,14 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 from magmatch.errors import ConfigurationError, import_extra
 from magmatch.field.map import FieldMap
 from magmatch.published.config import PublishedConfig
 from magmatch.registration.result import RegistrationResult
-from magmatch.viz.figures.draw import require_plotly
+from magmatch.viz.figures.draw import Figure, require_plotly
 from magmatch.viz.figures.published_figures import published_figures
 from magmatch.viz.view import view
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 KINDS = ("png", "svg")
 
@@ -33,13 +29,13 @@ def require_images() -> None:
 
 def registration_figures(
     base: FieldMap, target: FieldMap, result: RegistrationResult, published: PublishedConfig | None
-) -> "dict[str, Figure]":
+) -> dict[str, Figure]:
     """Both surveys in the base's frame, and what the published method saw if it was that, by name."""
     figures = {"in-space": view(result, base, target)}
     return figures | (published_figures(base, target, result.links, published) if published is not None else {})
 
 
-def write_images(folder: Path, figures: "dict[str, Figure]") -> None:
+def write_images(folder: Path, figures: dict[str, Figure]) -> None:
     """Write each figure as NAME.png and NAME.svg into a folder, which is made; no file is ever half written."""
     from plotly.io import write_images as write
 

@@ -28,7 +28,8 @@ from magmatch.viz.verdict import headline
 
 # Steps of the timeline 'registration', from as recorded to registered.
 N_STEPS = 20
-POINT_SHARE = 0.002
+# Radius of a sample on the screen.
+POINT_SIZE = 1.5
 LINK = (87, 96, 106)
 # Most samples drawn of one survey: what the viewer turns smoothly without a graphics card.
 MAX_SHOWN = 100_000
@@ -69,7 +70,11 @@ class RerunScene:
         """Description of the picture."""
         said = [] if self.result is None else [headline(self.result) + ".", self.result.reason + "."]
         said += [f"{part.name}: {_described(part)}." for part in self.parts]
-        said += [f"{part.name}: coordinates are relative to {_place(o)} m." for part, o in self.placed if o.any()]
+        said += [
+            f"{part.name}: coordinates are relative to {', '.join(map(told, o))} m."
+            for part, o in self.placed
+            if o.any()
+        ]
         low, high = self.limits
         return [*said, f"Shades of field magnitude go from {low:.3g} uT (dark) to {high:.3g} uT (light)."]
 
@@ -159,13 +164,11 @@ def _recording(path: str | Path, shown: RerunScene) -> Iterator[tuple[ModuleType
 
 def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, origin: Vector3) -> None:
     """Samples, and the map on a cut."""
-    low, high = box_of(shown)
-    size = float(np.linalg.norm(high - low))
     magnitude = draw.magnitude_ut(part.survey.field[part.rows])
     samples = rr.Points3D(
         (part.survey.positions[part.rows] - origin).astype(np.float32),
         colors=shaded(magnitude, shown.limits).astype(np.uint8),
-        radii=POINT_SHARE * size,
+        radii=rr.Radius.ui_points(POINT_SIZE),
     )
     recording.log(_path(rr, part.name, "samples"), samples, static=True)
     # For the table of the viewer, and for programs that read the recording.
@@ -223,19 +226,6 @@ def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
     low, high = limits
     place = np.clip((values - low) / (high - low), 0, 1) * (len(SHADES) - 1)
     return np.stack([np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T], axis=1)
-
-
-def box_of(shown: RerunScene) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest corner of all parts, the target where it belongs, as recorded."""
-    p = [part.survey.positions[draw.thinned(len(part.survey), 2000)] - origin for part, origin in shown.placed]
-    if shown.T_base_target is not None:
-        p[-1] = shown.T_base_target.apply(p[-1])
-    everything = np.concatenate(p)
-    return everything.min(axis=0), everything.max(axis=0)
-
-
-def _place(origin: Vector3) -> str:
-    return ", ".join(told(v) for v in origin)
 
 
 def _described(part: Part) -> str:

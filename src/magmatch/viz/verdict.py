@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A registration's status has a meaning, and its user can do something next."""
 
+from magmatch.number_text import chance
 from magmatch.registration.result import RegistrationResult, Status
 
 MEANING = {
@@ -64,17 +65,8 @@ def headline(result: RegistrationResult) -> str:
     words = "Accepted" if result.is_accepted else f"Not accepted: {result.status.replace('_', ' ')}"
     if result.probability is not None:
         of = "" if result.is_accepted else "best candidate: "
-        words += f" ({of}probability of being right {percent(result.probability)})"
+        words += f" ({of}probability of being right {chance(result.probability)})"
     return words
-
-
-def percent(probability: float) -> str:
-    """A probability with the digits that matter near 0 and 1: never rounded to certainty."""
-    if probability < 0.0005:
-        return "below 0.1 %"
-    if probability > 0.9995:
-        return "above 99.9 %"
-    return f"{100 * probability:.1f} %"
 
 
 def next_steps(result: RegistrationResult) -> list[str]:

@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from magmatch.arguments import expect_kind
 from magmatch.data.order import has_order
@@ -12,22 +12,20 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
+from magmatch.viz.figures.draw import Figure
 from magmatch.viz.figures.map_figures import field_figures
 from magmatch.viz.figures.registration_figures import links_figure, scene_figures
 from magmatch.viz.figures.slices import map_in
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
+from magmatch.viz.pages import page
 from magmatch.viz.pages.map_page import map_sections
-from magmatch.viz.pages.page import Section, figure_row, write_page
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 
 def view(
     thing: Survey | FieldMap | RegistrationResult,
     base: Survey | FieldMap | None = None,
     target: Survey | FieldMap | None = None,
-) -> "Figure":
+) -> Figure:
     """Draw a survey, a map, or a result with its surveys; a notebook displays the figure.
 
     Parameters
@@ -67,16 +65,16 @@ def write_view(path: str | Path, drawn: Sequence[Survey | FieldMap]) -> None:
     for item in drawn:
         field_map = map_in(item)
         sections += _of_survey(survey_of(item)) if field_map is None else _of_map(field_map)
-    write_page(path, f"magmatch: {', '.join(survey_of(item).name for item in drawn)}", sections)
+    page.write_page(path, f"magmatch: {', '.join(survey_of(item).name for item in drawn)}", sections)
 
 
-def _of_survey(survey: Survey) -> list[Section]:
+def _of_survey(survey: Survey) -> list[page.Section]:
     figures = [survey_figure(survey)]
     figures += [profile_figure(survey)] if has_order(survey) else []
-    return [Section(f"Survey {survey.name}", [figure_row(figures)])]
+    return [page.Section(f"Survey {survey.name}", [page.figure_row(figures)])]
 
 
-def _of_map(field_map: FieldMap) -> list[Section]:
+def _of_map(field_map: FieldMap) -> list[page.Section]:
     """Its report, where several things are drawn each part with the map's name."""
     name = field_map.survey.name
     first, *rest = map_sections(field_map)

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.tables.number_marks import number_of_text
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.data.tables.text import read_bytes
-from magmatch.data.tables.yaml_text import load_yaml, mapping_in
+from magmatch.data.tables.yaml_text import mapping_in, read_yaml
 from magmatch.errors import ConfigurationError, DataFormatError
 
 EXPECTED = "x y z qx qy qz qw (m; takes sensor coordinates to body coordinates)"
@@ -36,11 +35,7 @@ def read_extrinsic(text: str) -> RigidTransform:
 
 
 def _from_yaml(path: Path) -> RigidTransform:
-    raw = read_bytes(path)
-    try:
-        content = mapping_in(load_yaml(raw.decode("utf-8")))
-    except (yaml.YAMLError, ValueError):
-        raise DataFormatError(path, "is not YAML, expected the extrinsic of the magnetometer") from None
+    content = mapping_in(read_yaml(path, read_bytes(path), "; expected the extrinsic of the magnetometer"))
     content = content.get("transform", content)
     try:
         numbers = _listed(content["translation"], "xyz") + _listed(content["rotation"], "xyzw")

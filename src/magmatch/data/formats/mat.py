@@ -23,10 +23,10 @@ from magmatch.data.survey_columns import (
     position_columns,
 )
 from magmatch.data.tables.table import Table, table_of_columns
-from magmatch.data.tables.text import plain_file, read_bytes
+from magmatch.data.tables.text import damage_told, plain_file, read_bytes
 from magmatch.data.tables.times import seconds_of_column
 from magmatch.data.units import UNITS_PER_SECOND
-from magmatch.errors import DataFormatError, MagmatchError, import_extra
+from magmatch.errors import DataFormatError, import_extra
 
 logger = logging.getLogger(__name__)
 
@@ -101,18 +101,13 @@ def _shape(array: np.ndarray) -> str:
 @contextmanager
 def _opened(path: Path, *, is_v5: bool) -> Iterator[Mapping[str, Any]]:
     """Content of a file: mappings of names to arrays, other mappings, and what is neither."""
-    try:
+    with damage_told(path, "MATLAB file"):
         if is_v5:
             yield _Variables(path)
         else:
             h5py = import_extra("h5py", "reading MATLAB 7.3 and HDF5 files", "matlab")
             with h5py.File(path, "r") as file:
                 yield file
-    except MagmatchError:
-        raise
-    except Exception as error:  # libraries raise whatever they stumble over
-        words = " ".join(str(error).split())[:150]
-        raise DataFormatError(path, f"is a damaged MATLAB file ({words})") from None
 
 
 class _Variables(Mapping[str, Any]):

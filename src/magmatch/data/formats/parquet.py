@@ -2,7 +2,6 @@
 """Parquet tables of samples: the columns of the survey CSV, in binary."""
 
 import json
-import logging
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -12,18 +11,16 @@ from typing import Any
 import numpy as np
 
 from magmatch.atomic import atomic_write
-from magmatch.data.dataframes import SINCE_1970
+from magmatch.data.dataframes import level_of_dates
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, choose_columns
 from magmatch.data.tables.table import Table, table_of_columns
-from magmatch.data.tables.text import plain_file, read_bytes
+from magmatch.data.tables.text import damage_told, plain_file, read_bytes
 from magmatch.data.tables.times import seconds_of_column, seconds_of_dates
 from magmatch.data.units import UNITS_PER_SECOND
-from magmatch.errors import DataFormatError, MagmatchError, import_extra
+from magmatch.errors import DataFormatError, import_extra
 from magmatch.typing import Scalars
-
-logger = logging.getLogger(__name__)
 
 
 def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
@@ -46,21 +43,12 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
 
 
 def _index_of_dates(path: str | Path, file: Any) -> dict[str, str]:
-    """The times among what pandas calls an index without a name: increasing dates; of others a warning says so."""
-    from pyarrow import types
-
-    for name in (name for name in file.schema_arrow.names if name.startswith("__index_level_")):
-        kind = file.schema_arrow.field(name).type
-        values = np.zeros(2)
-        if types.is_timestamp(kind) or types.is_integer(kind):
-            values = _column(path, file, name)
-        if types.is_timestamp(kind) and (np.diff(values) > 0).all():
-            return {name: "t"}
-        if types.is_integer(kind) and np.abs(values).max(initial=0) < SINCE_1970[0]:
-            continue
-        words = "%s: has no column t, and its index without a name is left out; if it holds the times: --columns t=%s"
-        logger.warning(words, path, name)
-    return {}
+    """The times among what pandas calls an index without a name: increasing dates."""
+    names = [name for name in file.schema_arrow.names if name.startswith("__index_level_")]
+    levels = [file.read(columns=[name], use_threads=False).column(name).to_numpy() for name in names]
+    left_out = [f"without a name is left out; if it holds the times: --columns t={name}" for name in names]
+    k = level_of_dates(levels, left_out, path)
+    return {} if k is None else {names[k]: "t"}
 
 
 def read_other_columns(
@@ -88,16 +76,14 @@ def read_other_columns(
 @contextmanager
 def _opened(path: str | Path) -> Iterator[Any]:
     """The file; whatever is wrong with it becomes one error."""
-    pa, pq = (import_extra(name, "reading Parquet", "parquet") for name in ("pyarrow", "pyarrow.parquet"))
+    pq = import_extra("pyarrow.parquet", "reading Parquet", "parquet")
     read_bytes(path, 4)
-    try:
-        with plain_file(path) as place, pq.ParquetFile(place, pre_buffer=False) as file:
-            yield file
-    except MagmatchError:
-        raise
-    except (pa.ArrowException, OSError, ValueError, KeyError, MemoryError) as error:
-        words = " ".join(str(error).split())[:150]
-        raise DataFormatError(path, f"is a damaged Parquet file ({words})") from None
+    with (
+        damage_told(path, "Parquet file"),
+        plain_file(path) as place,
+        pq.ParquetFile(place, pre_buffer=False) as file,
+    ):
+        yield file
 
 
 def _column(path: str | Path, file: Any, name: str, clock: SurveyFormat | None = None) -> Scalars:

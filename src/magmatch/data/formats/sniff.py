@@ -3,11 +3,8 @@
 
 import itertools
 import json
-import lzma
 import re
-import struct
 import zipfile
-import zlib
 from codecs import BOM_UTF8
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +16,7 @@ from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
-from magmatch.data.tables.text import is_folder, is_gzip, read_bytes, text_lines
+from magmatch.data.tables.text import damage_told, is_folder, is_gzip, read_bytes, text_lines
 from magmatch.data.tables.text_rows import delimiter_of, is_row, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.data.tables.yaml_text import mapping_in
@@ -59,18 +56,6 @@ _SIGNATURES: dict[bytes, FileKind] = {
     b"MATLAB 7.3 MAT-file": "mat",
     b"\x89HDF\r\n\x1a\n": "mat",
 }
-# All that zipfile raises over a damaged archive.
-BROKEN_ZIP = (
-    zipfile.BadZipFile,
-    RuntimeError,
-    EOFError,
-    ValueError,
-    KeyError,
-    OverflowError,
-    struct.error,
-    zlib.error,
-    lzma.LZMAError,
-)
 # How a saved file (`magmatch.store`) begins, behind eight bytes that may be any.
 STORED = b'"__metadata__'
 _STORED_HEAD = 400  # bytes: two digests and the schema
@@ -182,12 +167,9 @@ def _sniff_folder(path: str | Path) -> FileKind:
 
 def _sniff_archive(path: str | Path) -> FileKind:
     """A zip archive is a phone's export, or nothing we read."""
-    try:
-        with zipfile.ZipFile(at_rest(path)) as archive:
-            members = archive.namelist()
-            has_tables = bool(phone_tables_of(archive))
-    except BROKEN_ZIP:
-        raise DataFormatError(path, "is a damaged zip archive (cut off while writing or copying?)") from None
+    with damage_told(path, "zip archive"), zipfile.ZipFile(at_rest(path)) as archive:
+        members = archive.namelist()
+        has_tables = bool(phone_tables_of(archive))
     if "[Content_Types].xml" in members or any(name.lower().endswith((".xls", ".xlsx")) for name in members):
         raise DataFormatError(path, f"is an Excel workbook or Office document, or holds one; {_NO_WORKBOOKS}")
     if has_tables:

@@ -5,10 +5,8 @@ Messages come as they are stored: where the recorder's clock was set back, only 
 rosbags for ROS 2 sort them by time, and pass over what SQLite still holds in a journal.
 """
 
-import errno
 import sqlite3
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -21,29 +19,12 @@ from mcap.reader import SeekingReader
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rosbags.rosbag1 import Reader
 
-from magmatch.data.logs.log import Channel, Count, Log, Message, printable
-from magmatch.errors import DataFormatError, MagmatchError
+from magmatch.data.logs.log import Channel, Count, Log, Message
+from magmatch.data.tables.text import damage_told
+from magmatch.errors import DataFormatError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = 9  # bytes of operation and length before the content of a record of MCAP
-
-
-@contextmanager
-def damage_told(path: Path, kind: str, tool: str) -> Iterator[None]:
-    """Say in one line what a library finds wrong in a file, and which tool mends it."""
-    try:
-        yield
-    except MagmatchError:
-        raise
-    except Exception as error:  # libraries raise whatever they stumble over
-        is_short = isinstance(error, EndOfFile) or getattr(error, "errno", None) == errno.EINVAL  # a seek to nowhere
-        if isinstance(error, OSError) and error.errno is not None and not is_short:
-            raise
-        words = "it ends too early" if is_short else " ".join(str(error).split())
-        found = printable(words.rstrip(".") or type(error).__name__)
-        if "not supported" in found:
-            raise DataFormatError(path, f"is a {kind} of a kind that is not read: {found}") from None
-        raise DataFormatError(path, f"is a damaged {kind} ({found}); {tool} mends it") from None
 
 
 class _Place(NamedTuple):
@@ -59,7 +40,7 @@ class Ros1Log(Log):
 
     def __init__(self, path: Path) -> None:
         self.path, self._reader = path, Reader(path)
-        self._damage_told = partial(damage_told, path, "ROS 1 bag", "rosbag reindex")
+        self._damage_told = partial(damage_told, path, "ROS 1 bag", "; rosbag reindex mends it")
         with self._damage_told():
             self._reader.open()
         self.channels = {c.id: Channel.named(c.topic, c.msgtype, "ros1") for c in self._reader.connections}
@@ -89,8 +70,8 @@ class SqliteLog(Log):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        tools = "sqlite3 (.recover), and then ros2 bag reindex,"
-        self._damage_told = partial(damage_told, path, "ROS 2 bag", tools)
+        advice = "; sqlite3 (.recover), and then ros2 bag reindex, mends it"
+        self._damage_told = partial(damage_told, path, "ROS 2 bag", advice)
         # Where the recorder left a journal, SQLite has to look at it; else the file is not even locked.
         journal = path.with_name(path.name + "-wal")
         mode = "mode=ro" if journal.exists() and journal.stat().st_size else "mode=ro&immutable=1"
@@ -145,7 +126,7 @@ class McapLog(Log):
 
     def __init__(self, path: Path) -> None:
         self.path, self._stream = path, path.open("rb")
-        self._damage_told = partial(damage_told, path, "MCAP file", "mcap recover")
+        self._damage_told = partial(damage_told, path, "MCAP file", "; mcap recover mends it")
         self._schemas = {0: ""}
         self.channels, self.counts = {}, {}
         self._chunks: list[mcap.ChunkIndex] | None = None

@@ -6,7 +6,8 @@ from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from magmatch.data.logs.log import Channel, printable
+from magmatch.data.logs.log import Channel
+from magmatch.data.tables.text import printable
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

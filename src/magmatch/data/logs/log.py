@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from magmatch.data.tables.text import printable
+
 
 class Channel(NamedTuple):
     """Topic, type and encoding of some messages; the type is spelled as in ROS 1 (``std_msgs/Header``)."""
@@ -89,8 +91,3 @@ class Log(ABC):
     @abstractmethod
     def close(self) -> None:
         """Close the file."""
-
-
-def printable(name: str) -> str:
-    """A name that can be shown: on one line, and not endless."""
-    return "".join(c if c.isprintable() else "?" for c in name[:200])

@@ -10,7 +10,8 @@ import numpy as np
 
 from magmatch.data.formats.channels import MAX_CHANNELS, Channels, TimeSeries
 from magmatch.data.logs.decode import ENCODINGS, decode, number
-from magmatch.data.logs.log import Log, Topic, printable
+from magmatch.data.logs.log import Log, Topic
+from magmatch.data.tables.text import printable
 from magmatch.data.tables.times import seconds_of
 
 logger = logging.getLogger(__name__)

@@ -7,11 +7,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from magmatch.data.logs.log import Count, Log, Message
 from magmatch.data.tables.text import is_folder, plain_file, read_bytes
-from magmatch.data.tables.yaml_text import load_yaml, mapping_in
+from magmatch.data.tables.yaml_text import mapping_in, read_yaml
 from magmatch.errors import DataFormatError, MissingExtraError
 
 NEEDED = ("rosbags", "mcap", "lz4", "zstandard")
@@ -107,10 +105,7 @@ def _metadata(folder: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     advice = f"{REINDEX}, or delete it to read the bag without it"
-    try:
-        about = mapping_in(load_yaml(read_bytes(path).decode("utf-8"))).get("rosbag2_bagfile_information")
-    except (yaml.YAMLError, ValueError) as error:
-        raise DataFormatError(path, f"is not YAML ({' '.join(str(error).split())[:120]}); {advice}") from None
+    about = mapping_in(read_yaml(path, read_bytes(path), f"; {advice}")).get("rosbag2_bagfile_information")
     if not isinstance(about, dict):
         raise DataFormatError(path, f"expected rosbag2_bagfile_information in it; {advice}")
     return about

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from magmatch.data.tables.pipes import PIECE, at_rest
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, MagmatchError
 
 # Faults of the name that was given; others are faults of the machine.
 BAD_NAME = {errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EINVAL}
@@ -32,6 +32,30 @@ class GzipContent:
             return self._stream.read(size)
         except (OSError, EOFError, zlib.error) as error:
             raise DataFormatError(self.path, f"is a damaged gzip file ({error}); cut off while copying?") from None
+
+
+@contextmanager
+def damage_told(path: str | Path, kind: str, advice: str = "") -> Iterator[None]:
+    """Say in one line what a library finds wrong in a file, and what to do about it."""
+    try:
+        yield
+    except MagmatchError:
+        raise
+    except Exception as error:  # libraries raise whatever they stumble over
+        # A seek to nowhere, and how mcap calls it.
+        is_short = type(error).__name__ == "EndOfFile" or getattr(error, "errno", None) == errno.EINVAL
+        if isinstance(error, OSError) and error.errno is not None and not is_short:
+            raise
+        words = "it ends too early" if is_short else " ".join(str(error).split())
+        found = printable(words.rstrip(".") or type(error).__name__)
+        if "not supported" in found:
+            raise DataFormatError(path, f"is a {kind} of a kind that is not read: {found}") from None
+        raise DataFormatError(path, f"is a damaged {kind} ({found}){advice}") from None
+
+
+def printable(text: str) -> str:
+    """A text from a file that can be shown: on one line, and not endless."""
+    return "".join(c if c.isprintable() else "?" for c in text[:200])
 
 
 def is_folder(path: str | Path) -> bool:

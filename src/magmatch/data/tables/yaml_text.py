@@ -1,26 +1,34 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """YAML from untrusted files: plain data only, with a bound on the number of values."""
 
+from pathlib import Path
 from typing import Any
+
+from magmatch.data.tables.text import text_lines
+from magmatch.errors import DataFormatError
 
 # Values of a document once all that it repeats by name is written out. Stated in docs/formats.md.
 MAX_VALUES = 1_000_000
 
 
-def load_yaml(text: str) -> Any:
-    """Mappings, lists, words and numbers of a YAML document; tags run nothing, and `yaml.YAMLError` refuses bombs."""
+def read_yaml(path: str | Path, raw: bytes, advice: str = "") -> Any:
+    """Mappings, lists, words and numbers of a YAML file, from its bytes; tags run nothing, and bombs are refused."""
     import yaml
 
+    lines, line = text_lines(path, raw), None
     try:
-        content = yaml.safe_load(text)
-        weight = _weight(content, {})
+        content = yaml.safe_load("\n".join(lines))
+        if _weight(content, {}) <= MAX_VALUES:
+            return content
+        words = f"repeats values by name to more than {MAX_VALUES}"
     except RecursionError:
-        msg = "nested too deeply"
-        raise yaml.YAMLError(msg) from None
-    if weight > MAX_VALUES:
-        msg = f"repeats values by name to more than {MAX_VALUES}"
-        raise yaml.YAMLError(msg)
-    return content
+        words = "nested too deeply"
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        words = str(error.problem or error.context)
+    except (yaml.YAMLError, ValueError) as error:
+        words = " ".join(str(error).split())[:200]
+    raise DataFormatError(path, f"is not YAML: {words}{advice}", line=line)
 
 
 def mapping_in(content: Any) -> dict[Any, Any]:

@@ -2,7 +2,7 @@
 """How well the base map explains the target under a pose: samples against it, overlap, residuals, the path."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,9 +17,6 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.draw import thinned
 from magmatch.viz.figures.slices import Cut, cut_through, map_in
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 # Normalised residual beyond which a sample is marked: of right ones, about 1 in 1000 (chi-square, three degrees).
 LARGEST_ORDINARY = 2.33
@@ -101,7 +98,7 @@ def corrected(field: Vectors, result: RegistrationResult) -> Vectors:
     return np.asarray(np.linalg.solve(gain, (field - bias).T).T)
 
 
-def agreement_figures(base_map: FieldMap, compared: Comparison) -> "list[Figure]":
+def agreement_figures(base_map: FieldMap, compared: Comparison) -> list[draw.Figure]:
     """Overlap, residuals in space and their distribution."""
     figures = [overlap_figure(base_map, compared)]
     if compared.is_known.any():
@@ -109,7 +106,7 @@ def agreement_figures(base_map: FieldMap, compared: Comparison) -> "list[Figure]
     return figures
 
 
-def overlap_figure(base_map: FieldMap, compared: Comparison) -> "Figure":
+def overlap_figure(base_map: FieldMap, compared: Comparison) -> draw.Figure:
     """Plan of the known part of the base, and which samples of the target fall into it."""
     cut = cut_through(np.concatenate([base_map.survey.positions, compared.positions]))
     known = base_map.knows(cut.points).reshape(len(cut.second), len(cut.first))
@@ -138,7 +135,7 @@ def overlap_figure(base_map: FieldMap, compared: Comparison) -> "Figure":
     )
 
 
-def residual_figure(compared: Comparison) -> "Figure":
+def residual_figure(compared: Comparison) -> draw.Figure:
     """Samples of the target in space, coloured by normalised residual."""
     ordinary = compared.is_known & ~compared.is_large
     scale = {"colorscale": draw.SPREAD_SCALE, "cmin": 0.0, "cmax": TOP_RESIDUAL}
@@ -173,7 +170,7 @@ def residual_figure(compared: Comparison) -> "Figure":
     )
 
 
-def histogram_figure(compared: Comparison) -> "Figure":
+def histogram_figure(compared: Comparison) -> draw.Figure:
     """Distribution of the residuals, and the distribution expected if model and noise explain all."""
     values = np.minimum(compared.normalised[compared.is_known], TOP_RESIDUAL)
     edges = np.linspace(0, TOP_RESIDUAL, 33)
@@ -200,7 +197,7 @@ def histogram_figure(compared: Comparison) -> "Figure":
     )
 
 
-def along_figure(compared: Comparison) -> "Figure":
+def along_figure(compared: Comparison) -> draw.Figure:
     """Field components along the target: measured, and predicted by the base map."""
     from plotly.subplots import make_subplots
 

@@ -7,7 +7,7 @@ a large shift there. At the centroid c of the samples ``xi = (theta, rho)`` move
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -22,9 +22,6 @@ from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Matrix, Points, Scalars, Vector3
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import cut_through
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 # Share of the probability inside an ellipsoid that is drawn.
 LEVEL = 0.95
@@ -95,7 +92,7 @@ def _ellipsoid(covariance: Matrix) -> Ellipsoid:
     return Ellipsoid(scale * np.sqrt(np.maximum(power[::-1], 0)), vectors[:, ::-1].T)
 
 
-def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> "Figure":
+def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, note: str) -> draw.Figure:
     """Draw an ellipsoid with its axes."""
     surface = scale * ellipsoid.surface()
     rings, meridians = [*surface[2:-2:2]], [*surface.swapaxes(0, 1)[:-1:4]]
@@ -117,7 +114,9 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
     )
 
 
-def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection) -> "Figure":
+def free_figure(
+    base: Survey, target: Survey, T_base_target: RigidTransform, free: DegenerateDirection
+) -> draw.Figure:
     """Draw a free direction: the target moved both ways along it."""
     p_target = target.positions[draw.thinned(len(target), MAX_SWEPT)]
     reach = SWEEP * float(np.ptp(p_target, axis=0).max())
@@ -125,34 +124,21 @@ def free_figure(base: Survey, target: Survey, T_base_target: RigidTransform, fre
     ways = [swept(p_target, T_base_target, free, sign * reach) for sign in (-1.0, 1.0)]
     arrows = draw.thinned(len(p_target), MAX_ARROWS)
     p_base = base.positions[draw.thinned(len(base), MAX_SWEPT)]
+    style: dict[str, Any] = {"opacity": 0.7, "hoverinfo": "name"}
+    line = {"color": draw.INK, "width": 3}
     traces = [
-        draw.points3d(
-            p_base,
-            name=f"base: {draw.label(base.name)}",
-            marker={"size": 1.5, "color": draw.BASE_COLOR, "opacity": 0.5},
-        ),
-        _points(here, "target", draw.TARGET_MARKER, draw.TARGET_COLOR, 2.5),
-        _points(ways[0], "moved one way", "cross", draw.LINK_COLOR, 2),
-        _points(ways[1], "moved the other way", "x", draw.LINK_COLOR, 2),
-        draw.curves3d(
-            draw.between(ways[0][arrows], ways[1][arrows]), name="direction", line={"color": draw.INK, "width": 3}
-        ),
+        draw.marks3d(p_base, f"base: {draw.label(base.name)}", draw.BASE_COLOR, draw.BASE_MARKER, 1.5, opacity=0.5),
+        draw.marks3d(here, "target", draw.TARGET_COLOR, draw.TARGET_MARKER, 2.5, **style),
+        draw.marks3d(ways[0], "moved one way", draw.LINK_COLOR, "cross", 2, **style),
+        draw.marks3d(ways[1], "moved the other way", draw.LINK_COLOR, "x", 2, **style),
+        draw.curves3d(draw.between(ways[0][arrows], ways[1][arrows]), name="direction", line=line),
     ]
-    figure = draw.new_scene(
-        f"Free: {draw.label(free.words)}", traces, "the data fit nearly as well all along the lines"
-    )
-    return draw.described(
-        figure,
-        f"The target's samples with lines along which they may move and still fit: {free.words}.",
-    )
+    title, note = f"Free: {draw.label(free.words)}", "the data fit nearly as well all along the lines"
+    words = f"The target's samples with lines along which they may move and still fit: {free.words}."
+    return draw.described(draw.new_scene(title, traces, note), words)
 
 
-def _points(p: Points, name: str, symbol: str, color: str, size: float) -> Any:
-    marker = {"size": size, "color": color, "symbol": symbol, "opacity": 0.7}
-    return draw.points3d(p, name=name, marker=marker, hoverinfo="name")
-
-
-def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> "Figure":
+def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> draw.Figure:
     """Draw the target under each of several poses: numbered outlines, or paths, in plan view."""
     p_target = target.positions[draw.thinned(len(target), MAX_SWEPT)]
     lain = [transform_points(p_target, T) for T in poses]

@@ -3,7 +3,7 @@
 
 from html import escape
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from magmatch.geometry import near_origin
 from magmatch.number_text import told
 from magmatch.typing import Indices, Points, Scalars, Vector3, Vectors
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
+# Plotly's figure: Plotly has no types, and is imported when something is drawn.
+Figure: TypeAlias = Any
 
 # Told apart by every kind of colour vision and on a grey printout: lightness differs by a contrast of three, to each
 # other and to the paper. Marker shapes differ as well.
@@ -97,6 +97,14 @@ def points3d(p: Points, **style: Any) -> Any:
     return require_plotly().Scatter3d(x=x, y=y, z=z, mode="markers", **style)
 
 
+def marks3d(
+    p: Points, name: str | None, color: str, symbol: str, size: float, *, opacity: float = 1.0, **style: Any
+) -> Any:
+    """Markers in space, all of one look."""
+    marker = {"size": size, "color": color, "symbol": symbol, "opacity": opacity}
+    return points3d(p, name=name, marker=marker, **style)
+
+
 def between(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Points of one line per row, as a single trace: rows are parted by gaps."""
     return np.stack([starts, ends, np.full_like(starts, np.nan)], axis=1).reshape(-1, starts.shape[1])
@@ -114,7 +122,7 @@ def flat(p: np.ndarray, mode: str = "markers", **style: Any) -> Any:
     return require_plotly().Scatter(x=x, y=y, mode=mode, **style)
 
 
-def described(figure: "Figure", words: str) -> "Figure":
+def described(figure: Figure, words: str) -> Figure:
     """Give a figure the words that stand for it where it cannot be seen."""
     figure.layout.meta = {**(figure.layout.meta or {}), "alt": words}
     return figure
@@ -136,7 +144,7 @@ def coloured_by_field(magnitude: Scalars, limits: tuple[float, float]) -> dict[s
     return colors | {"colorbar": colorbar("uT")}
 
 
-def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> "Figure":
+def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> Figure:
     """Put traces into a 3-D figure with equal scales, about an origin near them that its axes name."""
     points = [np.column_stack([t.x, t.y, t.z]) for t in traces]
     origin = origin_of(*points)
@@ -191,7 +199,21 @@ def _camera(aspect: np.ndarray) -> dict[str, Any]:
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
-def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> "Figure":
+def bars(title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool]) -> Figure:
+    """Numbers above 0 as named bars below each other, the first at the top; those that are not filled are hatched."""
+    marker = {"color": BASE_COLOR, "pattern": {"shape": ["" if is_filled else "/" for is_filled in filled]}}
+    bar = require_plotly().Bar(
+        x=values, y=names, text=texts, orientation="h", marker=marker, textposition="outside", cliponaxis=False,
+        hoverinfo="skip", showlegend=False,
+    )  # fmt: skip
+    figure = new_plane(title, [bar], x_title, "", is_equal=False)
+    figure.update_yaxes(autorange="reversed")
+    figure.update_xaxes(range=[0, 1.3 * float(values.max())])
+    figure.update_layout(height=120 + 36 * len(names))
+    return figure
+
+
+def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> Figure:
     """Put traces into a flat figure."""
     figure = require_plotly().Figure(traces)
     figure.update_layout(**_layout(title), height=400, legend={"orientation": "h", "x": 0, **AT_THE_FOOT})

@@ -2,7 +2,6 @@
 """Pictures of one map: the field on cuts, how well it is known where, and the comparison of priors."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from magmatch.viz.figures.slices import (
     slice_figure,
 )
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 # Points of the box at which the map is evaluated.
 N_ASKED = 6000
 # A box at least this thick, in its longest side, is cut along all three axes.
@@ -36,7 +32,6 @@ class Coverage:
     """A map evaluated at points throughout the box around its samples."""
 
     known_share: float  # share of the box that the map knows
-    volume: float  # m^3: of the box
     sd: Scalars  # (n,), T: standard deviation of one component of the field at the known points, increasing
     variation: float  # T: standard deviation of one component over the samples: the error of a map without structure
 
@@ -64,7 +59,6 @@ def cover_and_spread(field_map: FieldMap, points: Points) -> tuple[Coverage, Sca
     n = int(is_known.sum())
     coverage = Coverage(
         known_share=float(is_known.mean()),
-        volume=float(size.prod()),
         sd=np.sort(sd[:n]),
         variation=float(np.sqrt(field_map.survey.field.var(axis=0).mean())),
     )
@@ -81,7 +75,7 @@ def _rows(survey: Survey) -> np.ndarray:
     return np.ascontiguousarray(np.hstack([survey.positions, survey.field]))
 
 
-def field_figures(field_map: FieldMap) -> "list[Figure]":
+def field_figures(field_map: FieldMap) -> list[draw.Figure]:
     """Magnitude on every cut worth drawing, and the three components on the main one."""
     p, limits = field_map.survey.positions, common_limits(draw.magnitude_ut(field_map.survey.field))
     main = cut_through(p)
@@ -99,7 +93,7 @@ def field_figures(field_map: FieldMap) -> "list[Figure]":
     return figures
 
 
-def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
+def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> draw.Figure:
     """Standard deviation of a component on a cut, with the samples nearest to it."""
     p = field_map.survey.positions
     sd, is_known = draw.UT_PER_TESLA * sd, field_map.knows(cut.points)
@@ -113,7 +107,7 @@ def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> "Figure":
     )
 
 
-def coverage_figure(coverage: Coverage) -> "Figure":
+def coverage_figure(coverage: Coverage) -> draw.Figure:
     """Cumulative distribution of the standard deviation over the known part."""
     sd = draw.UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
     share = np.linspace(0, 1, len(sd))
@@ -129,22 +123,13 @@ def coverage_figure(coverage: Coverage) -> "Figure":
     return draw.described(figure, words)
 
 
-def comparison_figure(errors: dict[str, float], taken: str) -> "Figure":
+def comparison_figure(errors: dict[str, float], taken: str) -> draw.Figure:
     """Error on held-out data by prior: bars, the chosen one filled, the others hatched."""
     names = sorted(errors, key=lambda name: errors[name])
     values: Scalars = draw.UT_PER_TESLA * np.array([errors[name] for name in names])
-    bars = draw.require_plotly().Bar(
-        x=values, y=[f"{name} (chosen)" if name == taken else name for name in names], orientation="h",
-        text=[f"{v:.3g} uT" for v in values], textposition="outside", cliponaxis=False, hoverinfo="skip",
-        marker={"color": draw.BASE_COLOR, "pattern": {"shape": ["" if name == taken else "/" for name in names]}},
-        showlegend=False,
-    )  # fmt: skip
-    figure = draw.new_plane(
-        "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>",
-        [bars], "error (uT)", "", is_equal=False,
-    )  # fmt: skip
-    figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 1.3 * float(values.max())])
-    figure.update_layout(height=130 + 40 * len(names))
-    told = ", ".join(f"{name} {v:.3g} uT" for name, v in zip(names, values, strict=True))
+    texts, is_taken = [f"{v:.3g} uT" for v in values], [name == taken for name in names]
+    labels = [f"{name} (chosen)" if name == taken else name for name in names]
+    title = "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>"
+    figure = draw.bars(title, values, labels, texts, "error (uT)", is_taken)
+    told = ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
     return draw.described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of the published method: keypoints of both maps with their links, det H, and local frames in the field."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from magmatch.typing import Indices, Points
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import common_limits, cut_normal_to, cut_through, heatmap, hollow_marks
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 # Samples that show where each map lies, and arrows that can still be told apart.
 MAX_SAMPLES, MAX_ARROWS = 1500, 400
 # Gap between both maps, of the wider one.
@@ -28,7 +25,9 @@ GAP = 0.25
 AXES = ("#D62728", "#2CA02C", "#1F77B4")
 
 
-def published_figures(base: FieldMap, target: FieldMap, links: Links, config: PublishedConfig) -> "dict[str, Figure]":
+def published_figures(
+    base: FieldMap, target: FieldMap, links: Links, config: PublishedConfig
+) -> dict[str, draw.Figure]:
     """Keypoints of both maps with their links, and what is behind those of the base, by name."""
     # Asked again: a result keeps the links alone.
     base, target = (recursively(m) if config.is_recursive else m for m in (base, target))
@@ -43,7 +42,7 @@ def published_figures(base: FieldMap, target: FieldMap, links: Links, config: Pu
 
 def linked_keypoints_figure(
     base: Inferred, target: Inferred, base_rows: Indices, target_rows: Indices, links: Links
-) -> "Figure":
+) -> draw.Figure:
     """Both maps side by side in space, each in its own frame, with all keypoints and lines between matching ones."""
     sides = [one.field_map.survey.positions for one in (base, target)]
     width = max(float(np.ptp(p[:, 0])) for p in sides)
@@ -54,10 +53,8 @@ def linked_keypoints_figure(
         (base, base_rows, np.zeros(3), "base", draw.BASE_COLOR, draw.BASE_MARKER),
         (target, target_rows, shift, "target", draw.TARGET_COLOR, draw.TARGET_MARKER),
     ):
-        marker = {"size": 1.5, "color": color, "symbol": symbol}
-        traces.append(
-            draw.points3d(one.positions[rows] + offset, name=f"keypoints of {name}", marker=marker, hoverinfo="name")
-        )
+        p = one.positions[rows] + offset
+        traces.append(draw.marks3d(p, f"keypoints of {name}", color, symbol, 1.5, hoverinfo="name"))
     line = {"color": draw.LINK_COLOR, "width": 1}
     if len(links.base):
         traces.append(
@@ -72,7 +69,7 @@ def linked_keypoints_figure(
     return draw.described(figure, f"Base (left) and target (right) in space with {counts} between them.")
 
 
-def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
+def curvature_figure(inferred: Inferred, rows: Indices) -> draw.Figure:
     """Determinant of the Hessian of |B| on the layer of X* with most keypoints, and those keypoints."""
     p = inferred.field_map.survey.positions
     normal = cut_through(p).axes[2]
@@ -99,7 +96,7 @@ def curvature_figure(inferred: Inferred, rows: Indices) -> "Figure":
     return draw.described(figure, f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints.")
 
 
-def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices | None = None) -> "Figure":
+def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices | None = None) -> draw.Figure:
     """The field at X* as arrows, and the local frames of chosen keypoints: rows of ``frames``, by default eight."""
     go, some = draw.require_plotly(), draw.thinned(len(inferred), MAX_ARROWS)
     p, b = inferred.positions[some], inferred.field[some]
@@ -117,7 +114,7 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
     at, axes, reach = inferred.positions[frames.rows[chosen]], frames.axes[chosen], 3 * inferred.spacing
     traces: list[Any] = [
         arrows,
-        draw.points3d(at, name="keypoints", marker={"size": 4, "color": draw.INK}, showlegend=False),
+        draw.marks3d(at, "keypoints", draw.INK, draw.BASE_MARKER, 4, showlegend=False),
     ]
     for k, (axis, color) in enumerate(zip("xyz", AXES, strict=True)):
         line = {"color": color, "width": 7}
@@ -131,6 +128,5 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
 
 def _samples(p: Points, name: str | None) -> Any:
     some = p[draw.thinned(len(p), MAX_SAMPLES)]
-    return draw.points3d(
-        some, name=name, showlegend=name is not None, marker={"size": 1, "color": draw.QUIET}, hoverinfo="skip"
-    )
+    has_entry = name is not None
+    return draw.marks3d(some, name, draw.QUIET, draw.BASE_MARKER, 1, showlegend=has_entry, hoverinfo="skip")

@@ -2,7 +2,7 @@
 """Pictures of a registration: both surveys before and after, and the field of both maps on one cut."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -24,9 +24,6 @@ from magmatch.viz.figures.slices import (
     slice_figure,
 )
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 # Hidden until its entry in the legend is clicked.
 ASKED_FOR = {"visible": "legendonly", "showlegend": True}
 # Few enough that single links can be followed.
@@ -42,19 +39,15 @@ def shown_pose(result: RegistrationResult) -> RigidTransform | None:
     return next((other.T_base_target for other in result.alternatives if other.base is None), None)
 
 
-def links_figure(result: RegistrationResult) -> "Figure":
+def links_figure(result: RegistrationResult) -> draw.Figure:
     """Corresponding points of both sides in the frame of the base: all that a result alone can show."""
     T_base_target, links = shown_pose(result), result.links
     if T_base_target is None or not len(links.base):
         msg = "view: expected a result with pose and matching points, got one without; say view(result, base, target)"
         raise ValueError(msg)
     moved = transform_points(links.target, T_base_target)
-    base = draw.points3d(
-        links.base, name="base", marker={"size": 5, "color": draw.BASE_COLOR, "symbol": draw.BASE_MARKER}
-    )
-    target = draw.points3d(
-        moved, name="target", marker={"size": 4, "color": draw.TARGET_COLOR, "symbol": draw.TARGET_MARKER}
-    )
+    base = draw.marks3d(links.base, "base", draw.BASE_COLOR, draw.BASE_MARKER, 5)
+    target = draw.marks3d(moved, "target", draw.TARGET_COLOR, draw.TARGET_MARKER, 4)
     words = "Corresponding points" if result.is_accepted else "Best candidate, NOT accepted"
     return draw.described(
         draw.new_scene(words, [base, target], "frame of the base"),
@@ -62,7 +55,7 @@ def links_figure(result: RegistrationResult) -> "Figure":
     )
 
 
-def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "list[Figure]":
+def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> list[draw.Figure]:
     """Both surveys in one picture: as recorded, and with the target in the base's frame."""
     links = result.links
     off_base, off_target = draw.origins_of(base.positions, target.positions)
@@ -97,7 +90,7 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> "
     return [before, after]
 
 
-def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "list[Figure]":
+def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> list[draw.Figure]:
     """Field magnitude of both maps on one cut of the base frame, and how far their vectors differ."""
     T_base_target = shown_pose(result)
     p_base = base_map.survey.positions
@@ -123,7 +116,7 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     ]
 
 
-def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> "Figure | None":
+def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> draw.Figure | None:
     """Both maps side by side, each in its own frame, with lines between matching keypoints."""
     n_links = len(result.links.base)
     if not n_links:
@@ -166,23 +159,15 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     )
 
 
-def time_figure(result: RegistrationResult) -> "Figure | None":
+def time_figure(result: RegistrationResult) -> draw.Figure | None:
     """Seconds per stage; None where they were not measured."""
     stages = {name: s for name, s in result.seconds.items() if name != "total"}
     if not stages:
         return None
     total = result.seconds.get("total", sum(stages.values()))
-    names = [draw.label(name) for name in stages]
-    bar = draw.require_plotly().Bar(
-        x=list(stages.values()), y=names, orientation="h", marker={"color": draw.BASE_COLOR}, cliponaxis=False,
-        text=[f"{s:.2f} s" for s in stages.values()], textposition="outside", hoverinfo="skip", showlegend=False,
-    )  # fmt: skip
-    figure = draw.new_plane(
-        f"Time per stage<br><sub>{total:.2f} s in total</sub>", [bar], "time (s)", "", is_equal=False
-    )
-    figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 1.25 * max(stages.values())])
-    figure.update_layout(height=110 + 34 * len(stages))
+    seconds, names = np.array([*stages.values()]), [draw.label(name) for name in stages]
+    title, texts = f"Time per stage<br><sub>{total:.2f} s in total</sub>", [f"{s:.2f} s" for s in seconds]
+    figure = draw.bars(title, seconds, names, texts, "time (s)", [True] * len(stages))
     longest = max(stages, key=lambda name: stages[name])
     return draw.described(
         figure, f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s."
@@ -227,29 +212,19 @@ def _traces(
     if not len(link_base):
         return traces
     rows = draw.thinned(len(link_base), MAX_LINKS)
-    ends = [
-        ("keypoints of base", link_base, draw.BASE_COLOR, "square-open", 7),
-        ("keypoints of target", link_target, draw.TARGET_COLOR, "diamond-open", 7),
-    ]
-    traces += [
-        draw.points3d(
-            p[rows], name=name, marker={"size": size, "color": color, "symbol": symbol}, hoverinfo="name", **ASKED_FOR
-        )
-        for name, p, color, symbol, size in ends
-    ]
+    style: dict[str, Any] = {"hoverinfo": "name", **ASKED_FOR}
     line = {"color": draw.LINK_COLOR, "width": 4}
     return [
         *traces,
+        draw.marks3d(link_base[rows], "keypoints of base", draw.BASE_COLOR, "square-open", 7, **style),
+        draw.marks3d(link_target[rows], "keypoints of target", draw.TARGET_COLOR, "diamond-open", 7, **style),
         draw.curves3d(draw.between(link_base[rows], link_target[rows]), name="links", line=line, **ASKED_FOR),
     ]
 
 
 def _samples(p: Points, survey: Survey, name: str, color: str, symbol: str) -> Any:
     rows = draw.thinned(len(survey), MAX_SCENE_SAMPLES)
-    return draw.points3d(
-        p[rows],
-        name=draw.label(name),
-        marker={"size": 2 if len(rows) < 1000 else 1.5, "color": color, "symbol": symbol, "opacity": 0.75},
-        customdata=draw.for_display(draw.magnitude_ut(survey.field[rows])),
-        hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT",
-    )
+    size, magnitude = 2 if len(rows) < 1000 else 1.5, draw.for_display(draw.magnitude_ut(survey.field[rows]))
+    hover = "%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>|B| %{customdata:.2f} uT"
+    style = {"customdata": magnitude, "hovertemplate": hover}
+    return draw.marks3d(p[rows], draw.label(name), color, symbol, size, opacity=0.75, **style)

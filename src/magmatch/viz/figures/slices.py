@@ -2,7 +2,7 @@
 """Flat cuts through maps."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -12,9 +12,6 @@ from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 from magmatch.viz.figures import draw
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 # Cells along the longer side of a cut.
 N_ALONG = 110
@@ -42,7 +39,7 @@ class Cut:
         """The two coordinates of points (n, 3) along the plane, as they are drawn: without the origin."""
         return np.asarray(p - self.origin)[:, list(self.axes[:2])]
 
-    def figure(self, title: str, traces: list[Any]) -> "Figure":
+    def figure(self, title: str, traces: list[Any]) -> draw.Figure:
         """Put traces into a figure of the plane."""
         return draw.new_plane(title, traces, *(draw.axis_title(axis, self.origin) for axis in self.axes[:2]))
 
@@ -105,7 +102,7 @@ def slice_figure(
     scale: str,
     marks: Any = (),
     note: str = "",
-) -> "Figure":
+) -> draw.Figure:
     """Draw numbers in uT over a cut, with marks on it that a note explains."""
     traces = [heatmap(cut, values, is_known, limits, scale), *marks]
     figure = cut.figure(f"{title}<br><sub>{cut.words}{note}</sub>", traces)
@@ -121,7 +118,7 @@ def slice_figure(
 
 def magnitude_slice(
     title: str, cut: Cut, field: Vectors, is_known: Mask, limits: tuple[float, float], marks: Any = (), note: str = ""
-) -> "Figure":
+) -> draw.Figure:
     """Draw the field's magnitude over a cut."""
     return slice_figure(title, cut, draw.magnitude_ut(field), is_known, limits, draw.FIELD_SCALE, marks, note)
 

@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of one survey."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import common_limits
 
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
-
-def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
+def survey_figure(survey: Survey, left_out: Survey | None = None) -> draw.Figure:
     """Samples in space, coloured by field magnitude."""
     rows = draw.thinned(len(survey))
     magnitude = draw.magnitude_ut(survey.field[rows])
@@ -38,7 +33,7 @@ def survey_figure(survey: Survey, left_out: Survey | None = None) -> "Figure":
     )
 
 
-def profile_figure(survey: Survey) -> "Figure":
+def profile_figure(survey: Survey) -> draw.Figure:
     """Field components along the survey: over time, or over sample number where there is none."""
     rows = draw.thinned(len(survey), 3000)
     along = rows if survey.times is None else survey.times[rows] - survey.times[0]

@@ -23,17 +23,7 @@ from magmatch.viz.figures.map_figures import (
 )
 from magmatch.viz.figures.slices import cut_through
 from magmatch.viz.figures.survey_figures import profile_figure, survey_figure
-from magmatch.viz.pages.page import (
-    Section,
-    again,
-    columns,
-    figure_row,
-    note,
-    paragraph,
-    subheading,
-    table,
-    write_page,
-)
+from magmatch.viz.pages import page
 
 # Most left-out samples listed one by one.
 MAX_LISTED = 12
@@ -56,21 +46,26 @@ def write_map_report(path: str | Path, field_map: FieldMap, read: Sequence[Surve
     `read` holds the surveys as read (map frame), to show which samples were left out; `command` reproduces the map.
     """
     sections = [*map_sections(field_map, read), _again(field_map, command)]
-    write_page(path, f"magmatch: map of {field_map.survey.name}", sections)
+    page.write_page(path, f"magmatch: map of {field_map.survey.name}", sections)
 
 
-def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[Section]:
+def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[page.Section]:
     """Sections about a map, without how to reproduce it."""
     cut = cut_through(field_map.survey.positions)
     coverage, sd = cover_and_spread(field_map, cut.points)
     out = [survey.subset(left_out(field_map, survey)) for survey in read]
     main, *others = field_figures(field_map)
-    curve = [figure_row([coverage_figure(coverage)])] if len(coverage.sd) else []
+    curve = [page.figure_row([coverage_figure(coverage)])] if len(coverage.sd) else []
     return [
-        Section("", [paragraph(_coverage_words(coverage))]),
-        Section("The field", [figure_row([main, spread_figure(field_map, cut, sd)]), figure_row(others)]),
+        page.Section("", [page.paragraph(_coverage_words(coverage))]),
+        page.Section(
+            "The field", [page.figure_row([main, spread_figure(field_map, cut, sd)]), page.figure_row(others)]
+        ),
         _samples(field_map, out),
-        Section("Coverage", [columns([table(_facts(field_map))], [table(_coverage_rows(coverage))]), *curve]),
+        page.Section(
+            "Coverage",
+            [page.columns([page.table(_facts(field_map))], [page.table(_coverage_rows(coverage))]), *curve],
+        ),
         _prior(field_map),
     ]
 
@@ -111,16 +106,16 @@ def _coverage_words(coverage: Coverage) -> str:
     return words + (" Survey the rest more densely." if share < 0.7 else "")
 
 
-def _samples(field_map: FieldMap, out: Sequence[Survey]) -> Section:
+def _samples(field_map: FieldMap, out: Sequence[Survey]) -> page.Section:
     """Samples in space and along the way, and those that were left out."""
     n_out = sum(map(len, out))
     merged = out[0].merged(*out[1:]) if n_out else None
     figures = [survey_figure(field_map.survey, merged)]
     figures += [profile_figure(part) for part in field_map.surveys[:3] if has_order(part)]
-    blocks = [figure_row(figures)]
+    blocks = [page.figure_row(figures)]
     if out:
-        blocks.append(subheading("Left out"))
-        blocks.append(paragraph(_left_out_words(n_out)))
+        blocks.append(page.subheading("Left out"))
+        blocks.append(page.paragraph(_left_out_words(n_out)))
     if merged is not None:
         said = field_map.evaluate(merged.positions).field
         apart = np.linalg.norm(merged.field - said, axis=1)
@@ -130,10 +125,10 @@ def _samples(field_map: FieldMap, out: Sequence[Survey]) -> Section:
              field_text(float(np.linalg.norm(said[k]))), field_text(float(apart[k]))]
             for k in worst
         ]  # fmt: skip
-        blocks.append(table(rows, ["position (m)", "|B| measured", "|B| of the map", "difference"]))
+        blocks.append(page.table(rows, ["position (m)", "|B| measured", "|B| of the map", "difference"]))
         if n_out > len(rows):
-            blocks.append(note(f"The {len(rows)} of {n_out} that differ most."))
-    return Section("Samples", blocks)
+            blocks.append(page.note(f"The {len(rows)} of {n_out} that differ most."))
+    return page.Section("Samples", blocks)
 
 
 def _left_out_words(n_out: int) -> str:
@@ -145,11 +140,11 @@ def _left_out_words(n_out: int) -> str:
     )
 
 
-def _prior(field_map: FieldMap) -> Section:
+def _prior(field_map: FieldMap) -> page.Section:
     """Numbers of the prior, and how the priors compared where that was asked for."""
     numbers = field_map.hyperparameters.as_dict()
     rows = [[name, _number(name, value), MEANINGS.get(name, "")] for name, value in numbers.items()]
-    blocks = [table(rows, ["", "value", "meaning"])]
+    blocks = [page.table(rows, ["", "value", "meaning"])]
     errors = field_map.config.comparison
     if errors:
         best = min(errors.values())
@@ -163,16 +158,16 @@ def _prior(field_map: FieldMap) -> Section:
             for name, error in sorted(errors.items(), key=lambda pair: pair[1])
         ]
         blocks += [
-            subheading("Priors compared on held-out data"),
-            columns(
-                [table(compared, ["prior", "typical error", "relative to the best", "chosen"])],
-                [figure_row([comparison_figure(errors, field_map.config.prior)])],
+            page.subheading("Priors compared on held-out data"),
+            page.columns(
+                [page.table(compared, ["prior", "typical error", "relative to the best", "chosen"])],
+                [page.figure_row([comparison_figure(errors, field_map.config.prior)])],
             ),
-            note("The spline is preferred unless another prior is clearly better: held-out errors are noisy."),
+            page.note("The spline is preferred unless another prior is clearly better: held-out errors are noisy."),
         ]
     else:
-        blocks.append(note("Priors were not compared; 'magmatch map --prior auto' does."))
-    return Section("Prior and hyperparameters", blocks)
+        blocks.append(page.note("Priors were not compared; 'magmatch map --prior auto' does."))
+    return page.Section("Prior and hyperparameters", blocks)
 
 
 def _number(name: str, value: float) -> str:
@@ -181,9 +176,9 @@ def _number(name: str, value: float) -> str:
     return f"{value:.3g}" + (" m" if name in ("lengthscale", "spacing") else "")
 
 
-def _again(field_map: FieldMap, command: str) -> Section:
+def _again(field_map: FieldMap, command: str) -> page.Section:
     words = (
         f"magmatch {__version__}. The same surveys and settings give the same map. Settings: save as settings.yaml."
     )
     settings = {"field": field_map.config.model_dump(mode="json", exclude={"comparison"})}
-    return again("Reproduce this map", words, command, settings)
+    return page.again("Reproduce this map", words, command, settings)

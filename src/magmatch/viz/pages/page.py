@@ -16,16 +16,13 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from magmatch.atomic import atomic_write
 from magmatch.glossary import terms
-from magmatch.viz.figures.draw import DARK, require_plotly
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
+from magmatch.viz.figures.draw import DARK, Figure, require_plotly
 
 # Most closures, anchors or parts of a log that are listed one by one.
 MAX_LISTED = 40
@@ -61,7 +58,7 @@ def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> Non
         stream.write(html.encode())
 
 
-def figure_row(figures: "Sequence[Figure]") -> str:
+def figure_row(figures: Sequence[Figure]) -> str:
     """Figures side by side, below each other where the screen is narrow."""
     return f'<div class="row">{"".join(map(_figure, figures))}</div>'
 
@@ -165,7 +162,7 @@ def _section(section: Section, k: int) -> str:
     return f'<section aria-labelledby="{name}"><h2 id="{name}">{escape(section.title)}</h2>{body}</section>'
 
 
-def _figure(figure: "Figure") -> str:
+def _figure(figure: Figure) -> str:
     """One figure with its title as caption, which wraps where a title inside the figure would not."""
     from plotly.io.json import to_json_plotly
 

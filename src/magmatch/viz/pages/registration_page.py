@@ -19,17 +19,7 @@ from magmatch.viz.figures.registration_figures import (
     time_figure,
 )
 from magmatch.viz.figures.slices import map_in
-from magmatch.viz.pages.page import (
-    Section,
-    bullets,
-    columns,
-    details,
-    figure_row,
-    note,
-    paragraph,
-    verdict,
-    write_page,
-)
+from magmatch.viz.pages import page
 from magmatch.viz.pages.registration_tables import (
     answer_words,
     certainty,
@@ -58,24 +48,28 @@ def write_report(
     sections = [_answer(result)]
     if base is not None and target is not None:
         base_survey, target_survey = survey_of(base), survey_of(target)
-        sections.append(Section("In space", [figure_row(scene_figures(base_survey, target_survey, result))]))
+        sections.append(
+            page.Section("In space", [page.figure_row(scene_figures(base_survey, target_survey, result))])
+        )
         base_map, target_map = map_in(base), map_in(target)
         if base_map is not None and target_map is not None:
             sections += _field(base_map, target_map, result)
             if published is not None:
                 figures = published_figures(base_map, target_map, result.links, published).values()
-                sections.append(Section("What the published method sees", [figure_row([one]) for one in figures]))
+                sections.append(
+                    page.Section("What the published method sees", [page.figure_row([one]) for one in figures])
+                )
         sections += _agreement(base_map, target, result)
         sections += certainty(result, target_survey)
         sections += free_directions(result, base_survey, target_survey)
     else:
         sections += certainty(result, None)
     sections += other_poses(result, base, target)
-    in_numbers, figure = [columns([transform_table(result)], [figures_table(result)])], time_figure(result)
-    in_numbers += [] if figure is None else [details("Time per stage", figure_row([figure]))]
-    sections.append(Section("In numbers", in_numbers))
+    in_numbers, figure = [page.columns([transform_table(result)], [figures_table(result)])], time_figure(result)
+    in_numbers += [] if figure is None else [page.details("Time per stage", page.figure_row([figure]))]
+    sections.append(page.Section("In numbers", in_numbers))
     sections.append(reproduced(result, command))
-    write_page(path, _title(result), sections)
+    page.write_page(path, _title(result), sections)
 
 
 def _title(result: RegistrationResult) -> str:
@@ -83,31 +77,31 @@ def _title(result: RegistrationResult) -> str:
     return f"magmatch: {names[1]} in the frame of {names[0]}" if len(names) == 2 else "magmatch: registration"
 
 
-def _answer(result: RegistrationResult) -> Section:
+def _answer(result: RegistrationResult) -> page.Section:
     """The verdict, what it means, and what to do next."""
-    return Section(
+    return page.Section(
         "",
         [
-            verdict(headline(result), result.reason, answer_words(result), is_good=result.is_accepted),
-            paragraph(MEANING[result.status]),
-            details("What to do next", bullets(next_steps(result)), is_open=not result.is_accepted),
+            page.verdict(headline(result), result.reason, answer_words(result), is_good=result.is_accepted),
+            page.paragraph(MEANING[result.status]),
+            page.details("What to do next", page.bullets(next_steps(result)), is_open=not result.is_accepted),
         ],
     )
 
 
-def _field(base: FieldMap, target: FieldMap, result: RegistrationResult) -> list[Section]:
+def _field(base: FieldMap, target: FieldMap, result: RegistrationResult) -> list[page.Section]:
     """Both maps on one cut, and side by side with the links between them."""
     blocks = [
-        note("One colour scale for both maps. Blank: the map has no samples nearby."),
-        figure_row(slice_figures(base, target, result)),
+        page.note("One colour scale for both maps. Blank: the map has no samples nearby."),
+        page.figure_row(slice_figures(base, target, result)),
     ]
     matches = match_figure(base, target, result)
     if matches is not None:
-        blocks.append(details("Matching keypoints", figure_row([matches])))
-    return [Section("The field of both maps", blocks)]
+        blocks.append(page.details("Matching keypoints", page.figure_row([matches])))
+    return [page.Section("The field of both maps", blocks)]
 
 
-def _agreement(base: FieldMap | None, target: Survey | FieldMap, result: RegistrationResult) -> list[Section]:
+def _agreement(base: FieldMap | None, target: Survey | FieldMap, result: RegistrationResult) -> list[page.Section]:
     """Whether the base explains the target's samples, under the pose that is shown."""
     T_base_target = shown_pose(result)
     if T_base_target is None:
@@ -115,7 +109,7 @@ def _agreement(base: FieldMap | None, target: Survey | FieldMap, result: Registr
     title = "Overlap and residuals"
     if base is None:
         words = "This needs a map of the base. None could be made: too few samples, or settings of another version."
-        return [Section(title, [note(words)])]
+        return [page.Section(title, [page.note(words)])]
     compared = compare(base, target, T_base_target, result)
     n, n_all = len(compared.rows), len(survey_of(target))
     words = f"Based on {n} of the target's {n_all} samples, evenly chosen. " if n < n_all else ""
@@ -131,7 +125,7 @@ def _agreement(base: FieldMap | None, target: Survey | FieldMap, result: Registr
             f"root mean square, in which single bad samples count in full, is {compared.rms:.2f}. {n_large} of "
             f"{n_known} samples exceed {LARGEST_ORDINARY:.1f}; 1 in 1000 would by chance."
         )
-    blocks = [paragraph(words), figure_row(agreement_figures(base, compared))]
+    blocks = [page.paragraph(words), page.figure_row(agreement_figures(base, compared))]
     if compared.rms is not None and has_order(survey_of(target)):
-        blocks.append(figure_row([along_figure(compared)]))
-    return [Section(title, blocks)]
+        blocks.append(page.figure_row([along_figure(compared)]))
+    return [page.Section(title, blocks)]

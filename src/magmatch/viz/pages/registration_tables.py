@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
+from magmatch.number_text import chance
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult, Sensor
 from magmatch.registration.sensor_calibration import in_words as calibration_words
@@ -26,8 +27,7 @@ from magmatch.viz.figures.certainty_figures import (
 )
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.figures.slices import map_in
-from magmatch.viz.pages.page import Section, again, details, figure_row, note, paragraph, table, with_terms
-from magmatch.viz.verdict import percent
+from magmatch.viz.pages import page
 
 # Other poses that are listed, and samples that give their numbers.
 MAX_LISTED, MAX_DRAWN_POSES, N_COMPARED = 10, 6, 500
@@ -59,7 +59,7 @@ def answer_words(result: RegistrationResult) -> str:
 
 def figures_table(result: RegistrationResult) -> str:
     """Key figures; those for specialists are collapsed."""
-    rows = [["Probability", "not computed" if result.probability is None else percent(result.probability)]]
+    rows = [["Probability", "not computed" if result.probability is None else chance(result.probability)]]
     if result.base is not None:
         rows.insert(0, ["In map", result.base])
     rows.append(["Overlap", f"{result.overlap:.0%} of the target's samples"])
@@ -72,61 +72,65 @@ def figures_table(result: RegistrationResult) -> str:
     )
     others.append(["Inliers", f"{result.n_inliers}; {result.n_correspondences} correspondences were tried"])
     others.append(["Keypoints", f"{result.n_keypoints} in both maps together"])
-    others += [*_sensor(result.sensor or Sensor()), *_weighed(result)]
-    return table(rows, named=with_terms) + details("Numbers behind the decision", table(others, named=with_terms))
+    others += _sensor(result.sensor or Sensor())
+    weighed = {name: f"{value:.4g}" for name, value in result.evidence.items() if value is not None}
+    others += [[EVIDENCE.get(name, name.replace("_", " ")), text] for name, text in weighed.items()]
+    return page.table(rows, named=page.with_terms) + page.details(
+        "Numbers behind the decision", page.table(others, named=page.with_terms)
+    )
 
 
 def transform_table(result: RegistrationResult) -> str:
     """The transform, or that there is none."""
     T = result.T_base_target
     if T is None:
-        return paragraph("No transform: none was accepted.")
+        return page.paragraph("No transform: none was accepted.")
     rows = [["Turned by", turn_words(T)], ["Moved by", ", ".join(f"{t:.4f}" for t in T.translation) + " m"]]
     matrix = [[name, *(f"{v:.5f}" for v in row)] for name, row in zip("xyz1", T.as_matrix(), strict=True)]
-    words = paragraph("T_base_target, with p_base = T_base_target p_target:")
-    return table(rows) + words + table(matrix, ["", "x", "y", "z", "shift (m)"])
+    words = page.paragraph("T_base_target, with p_base = T_base_target p_target:")
+    return page.table(rows) + words + page.table(matrix, ["", "x", "y", "z", "shift (m)"])
 
 
-def certainty(result: RegistrationResult, target: Survey | None) -> list[Section]:
+def certainty(result: RegistrationResult, target: Survey | None) -> list[page.Section]:
     """Ellipsoids of position and rotation, in words, pictures and numbers; empty if there is no covariance."""
     T = result.T_base_target
     title = "Uncertainty"
     if T is None:
         return []
     if result.covariance is None:
-        return [Section(title, [note("The result has no covariance: the published method gives none.")])]
+        return [page.Section(title, [page.note("The result has no covariance: the published method gives none.")])]
     blocks = []
     if target is not None:
         place, turn = ellipsoids_at(result.covariance, T, target.centroid)
         where = "around the centroid of the target's samples, base axes"
         blocks = [
-            paragraph(_ellipsoid_words(place, turn)),
-            figure_row(
+            page.paragraph(_ellipsoid_words(place, turn)),
+            page.figure_row(
                 [
                     ellipsoid_figure(place, "Position of the target", "mm", MM, where),
                     ellipsoid_figure(turn, "Rotation of the target", "deg", DEG, "rotation vector in base axes"),
                 ]
             ),
         ]
-    origin = note("Square roots of the covariance's diagonal. A distant origin makes the shifts large.")
-    deviations = table(_deviations(result.covariance, result.standard_deviations)) + origin
-    blocks.append(details("Standard deviations in the target's axes, about its frame's origin", deviations))
-    return [Section(title, blocks)]
+    origin = page.note("Square roots of the covariance's diagonal. A distant origin makes the shifts large.")
+    deviations = page.table(_deviations(result.covariance, result.standard_deviations)) + origin
+    blocks.append(page.details("Standard deviations in the target's axes, about its frame's origin", deviations))
+    return [page.Section(title, blocks)]
 
 
-def free_directions(result: RegistrationResult, base: Survey, target: Survey) -> list[Section]:
+def free_directions(result: RegistrationResult, base: Survey, target: Survey) -> list[page.Section]:
     """Pictures of the free directions."""
     T = shown_pose(result)
     if T is None or not result.degenerate_directions:
         return []
     figures = [free_figure(base, target, T, free) for free in result.degenerate_directions]
-    words = f"The data do not constrain the pose against {_listed([d.words for d in result.degenerate_directions])}."
-    return [Section("Free directions", [paragraph(words), figure_row(figures)])]
+    words = f"The data do not constrain the pose against {', '.join(d.words for d in result.degenerate_directions)}."
+    return [page.Section("Free directions", [page.paragraph(words), page.figure_row(figures)])]
 
 
 def other_poses(
     result: RegistrationResult, base: Survey | FieldMap | None, target: Survey | FieldMap | None
-) -> list[Section]:
+) -> list[page.Section]:
     """Rival poses with their numbers; the best candidate first if nothing was accepted."""
     if not result.alternatives:
         return []
@@ -136,7 +140,7 @@ def other_poses(
     columns: dict[str, list[str]] = {
         "": [str(k + 1) for k in range(len(listed))],
         "map": [other.base or result.base or "" for other in listed],
-        "probability": ["" if other.probability is None else percent(other.probability) for other in listed],
+        "probability": ["" if other.probability is None else chance(other.probability) for other in listed],
         "log odds (nats)": ["" if other.log_odds is None else f"{other.log_odds:.1f}" for other in listed],
         "turned by": [turn_words(other.T_base_target) for other in listed],
         "moved by (m)": [", ".join(f"{t:.3f}" for t in other.T_base_target.translation) for other in listed],
@@ -158,14 +162,14 @@ def other_poses(
     words += "Distances refer to the target's centroid. " if target is not None else ""
     words += f"The result file lists {left} more." if left else ""
     rows = [list(row) for row in zip(*told.values(), strict=True)]
-    blocks = [paragraph(words), table(rows, list(told))]
+    blocks = [page.paragraph(words), page.table(rows, list(told))]
     drawn = [other.T_base_target for other in listed[:MAX_DRAWN_POSES] if other.base is None]
     if base is not None and survey is not None and drawn and not any(other.base for other in listed):
-        blocks.append(figure_row([poses_figure(survey_of(base), survey, drawn)]))
-    return [Section("Other poses", blocks)]
+        blocks.append(page.figure_row([poses_figure(survey_of(base), survey, drawn)]))
+    return [page.Section("Other poses", blocks)]
 
 
-def reproduced(result: RegistrationResult, command: str | None) -> Section:
+def reproduced(result: RegistrationResult, command: str | None) -> page.Section:
     """Command, inputs and settings that reproduce the result."""
     names = [str(entry.get("name", "?")) for entry in result.inputs]
     if command is None:
@@ -179,8 +183,8 @@ def reproduced(result: RegistrationResult, command: str | None) -> Section:
         f"magmatch {result.version}, seed {result.seed}. The same input, settings and seed give the same "
         "transform. Save the settings below as settings.yaml, or pass the result file itself to --config."
     )
-    listed = [table(inputs, ["input", "SHA-256"])] if inputs else []
-    return again("Reproduce this result", words, command, result.config, *listed)
+    listed = [page.table(inputs, ["input", "SHA-256"])] if inputs else []
+    return page.again("Reproduce this result", words, command, result.config, *listed)
 
 
 def turn_words(T: RigidTransform) -> str:
@@ -211,24 +215,11 @@ def _deviations(covariance: Matrix, best: tuple[float, float] | None) -> list[li
     return [["where the data constrain it best", f"{DEG * turn:.3f} deg, {MM * shift:.1f} mm"], *rows]
 
 
-def _weighed(result: RegistrationResult) -> list[list[str]]:
-    """The figures from which the probability was computed."""
-    return [
-        [EVIDENCE.get(name, name.replace("_", " ")), f"{value:.4g}"]
-        for name, value in result.evidence.items()
-        if value is not None
-    ]
-
-
 def _apart(first: RigidTransform | None, T: RigidTransform, center: np.ndarray) -> str:
     if first is None or first is T:
         return ""
     angle = np.rad2deg((first.rotation.inv() * T.rotation).magnitude())
     return f"{np.linalg.norm(first.apply(center) - T.apply(center)):.3g} m, {angle:.1f} deg"
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
 
 
 def _sensor(sensor: Sensor) -> list[list[str]]:

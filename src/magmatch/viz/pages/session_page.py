@@ -3,7 +3,7 @@
 
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -17,10 +17,6 @@ from magmatch.viz.figures import draw
 from magmatch.viz.figures.certainty_figures import LEVEL
 from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, magnitude_slice
 from magmatch.viz.pages import page
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
-
 
 NEXT_STEPS = {
     SlamStatus.CONNECTED: (
@@ -84,7 +80,7 @@ def _answer(result: SlamResult) -> page.Section:
     )
 
 
-def session_figures(session: Session, component: int) -> "list[Figure]":
+def session_figures(session: Session, component: int) -> list[draw.Figure]:
     """Paths of a component coloured by the field before, and over its map with closures after."""
     logs = session.components[component]
     after = [session.trajectories[k].positions for k in logs]
@@ -160,7 +156,7 @@ def _fixed_points(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
 
 def _before(
     session: Session, cut: Cut, logs: list[int], before: list[Points], limits: tuple[float, float]
-) -> "Figure":
+) -> draw.Figure:
     traces = []
     for k, p in zip(logs, before, strict=True):
         rows = draw.thinned(len(p))
@@ -173,7 +169,7 @@ def _before(
     return draw.described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
 
 
-def weakness_figure(session: Session) -> "Figure":
+def weakness_figure(session: Session) -> draw.Figure:
     """Standard deviation of the position along each log, relative to the first node of its frame."""
     traces, worst = [], 0.0
     for k, path in enumerate(session.paths):

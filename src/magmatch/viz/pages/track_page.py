@@ -2,7 +2,6 @@
 """The report of `localize`: the verdict, the path over the map, and where it was lost and why."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +11,6 @@ from magmatch.localization.track import Track
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import common_limits, cut_through, field_on, magnitude_slice
 from magmatch.viz.pages import page
-
-if TYPE_CHECKING:
-    from plotly.graph_objects import Figure
 
 # Where the place is known at the end and the pose is not, nothing was lost.
 UNCERTAIN = (
@@ -75,7 +71,7 @@ def next_steps(result: LocalizationResult) -> tuple[str, ...]:
     return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
 
 
-def path_figure(track: Track, k: int) -> "Figure":
+def path_figure(track: Track, k: int) -> draw.Figure:
     """The poses stated in one of the maps, over its |B|."""
     field_map = track.maps[k]
     stated = [e for e in track.estimates if e.is_stated and (len(track.maps) == 1 or e.map == _name(track, k))]
@@ -102,7 +98,7 @@ def _name(track: Track, k: int) -> str:
     return sorted(names)[k]
 
 
-def status_figure(track: Track) -> "Figure":
+def status_figure(track: Track) -> draw.Figure:
     """Probability of the best place along the path, and where a pose was accurate enough to be stated."""
     walked = path_walked(track.log.positions)
     shown, traces = np.column_stack([walked, [e.probability for e in track.estimates]]), []
@@ -116,7 +112,7 @@ def status_figure(track: Track) -> "Figure":
     )
 
 
-def sd_figure(result: LocalizationResult) -> "Figure":
+def sd_figure(result: LocalizationResult) -> draw.Figure:
     """How accurate the stated poses are, along the log."""
     t, shift, _ = np.array(result.sd).reshape(-1, 3).T
     trace = draw.flat(np.column_stack([t, shift]), marker={"size": 4}, name="sd")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from magmatch.data.formats.phones.tables import MEMBERS, says_its_sensor, stem_of
 from magmatch.data.tables.pipes import at_rest
-from magmatch.data.tables.text import is_folder, read_bytes
+from magmatch.data.tables.text import damage_told, is_folder, read_bytes
 from magmatch.errors import DataFormatError
 
 # Tables with other names are looked into: so many bytes of so many.
@@ -80,8 +80,5 @@ def refuse_strays(path: Path, names: Collection[str]) -> None:
 def _read_member(path: Path, archive: zipfile.ZipFile, name: str, limit: int = -1) -> bytes:
     if archive.getinfo(name).flag_bits & 1:
         raise DataFormatError(path, f"{name} is encrypted; unpack it first")
-    try:
-        with archive.open(name) as stream:
-            return stream.read(limit)
-    except OSError as error:  # some decompressors report damage as if it were the machine's
-        raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
+    with damage_told(path, "zip archive"), archive.open(name) as stream:
+        return stream.read(limit)

@@ -14,8 +14,9 @@ from magmatch.data.formats.phones.metadata import with_metadata
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
 from magmatch.data.formats.recording import Recording
-from magmatch.data.formats.sniff import BROKEN_ZIP, text_log_of
+from magmatch.data.formats.sniff import text_log_of
 from magmatch.data.surveyed_points import SurveyedPoints
+from magmatch.data.tables.text import damage_told
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import TESLA_PER_UNIT
 from magmatch.errors import DataFormatError
@@ -41,28 +42,23 @@ def read_phone_log(
     with_points : bool
         Read the points that the walker marked, too.
     """
-    try:
-        with opened_tables(path) as tables:
-            streams: dict[Sensor, Stream] = {}
-            apps: list[str] = []
-            points: SurveyedPoints | None = None
-            for place, read in tables.items():
-                hint = MEMBERS.get(stem_of(place.name))
-                if (hint and hint not in wanted) or set(wanted) <= streams.keys():
-                    continue
-                raw = read()
-                if (text := text_log_of(raw)) is not None:
-                    app, found = text.APP, text.read(place, raw, wanted, recover=recover)
-                    points = text.points(place, raw, recover=recover) if with_points else None
-                else:
-                    app, found = read_table_streams(place, raw, wanted, recover=recover)
-                streams = found | streams
-                apps.append(app)
+    streams: dict[Sensor, Stream] = {}
+    apps: list[str] = []
+    points: SurveyedPoints | None = None
+    with damage_told(path, "zip archive"), opened_tables(path) as tables:
+        for place, read in tables.items():
+            hint = MEMBERS.get(stem_of(place.name))
+            if (hint and hint not in wanted) or set(wanted) <= streams.keys():
+                continue
+            raw = read()
+            if (text := text_log_of(raw)) is not None:
+                app, found = text.APP, text.read(place, raw, wanted, recover=recover)
+                points = text.points(place, raw, recover=recover) if with_points else None
+            else:
+                app, found = read_table_streams(place, raw, wanted, recover=recover)
+            streams = found | streams
+            apps.append(app)
         told = with_metadata(Path(path), apps[0] if apps else "", streams)
-    except DataFormatError:
-        raise
-    except BROKEN_ZIP as error:
-        raise DataFormatError(path, f"is a damaged zip archive ({error})") from None
     return PhoneLog(Path(path), apps[0] if apps else "unknown", told, points)
 
 
