@@ -3,15 +3,18 @@
 
 from magmatch.field.domain import Box
 from magmatch.field.inducing.inducing_prior import InducingPrior
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, GRADIENT, CurlFreeKernel, DivergenceFreeKernel
 from magmatch.field.linear_model import Prior
-from magmatch.field.priors.gaussian import CurlFreePrior, DivergenceFreePrior
 from magmatch.field.priors.harmonic import HarmonicPrior
 from magmatch.field.priors.spline import SplinePrior
 
-# Their cost grows with the cube of their weights: not every survey can afford them.
+# Three weights each: more take minutes.
+MAX_INDUCING_POINTS = 1200
+# Their cost grows with the cube of their weights: not every survey can afford them. The first is published; the
+# second, minus the gradient of a potential (Solin et al. 2018), has one weight an inducing point.
 DENSE_PRIORS: dict[str, InducingPrior | HarmonicPrior] = {
-    "divergence_free": DivergenceFreePrior(),
-    "curl_free": CurlFreePrior(),
+    "divergence_free": InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, MAX_INDUCING_POINTS),
+    "curl_free": InducingPrior("curl_free", CurlFreeKernel, GRADIENT, 3 * MAX_INDUCING_POINTS),
     "harmonic": HarmonicPrior(),
 }
 PRIORS: dict[str, Prior] = {"spline": SplinePrior(), **DENSE_PRIORS}
