@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from magmatch.errors import DataFormatError, SurveyError
 from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.live.estimator import FieldEstimator
-from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS
-from magmatch.field.live.live_record import SCHEMA
+from magmatch.field.live.estimator import SCHEMA, FieldEstimator
+from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS, MeasuredCells
 from magmatch.field.map import FieldMap
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
@@ -273,27 +272,33 @@ def checkpoint(tmp_path_factory):
     return path
 
 
+def replaced(measured, **changes):
+    """What was read, and is not checked any more, with other arrays."""
+    for name, value in changes.items():
+        object.__setattr__(measured, name, value)
+    return {"measured": measured}
+
+
 CRAFTED = {
-    "another count": lambda a, r: (a | {"n_samples": 7}, r),
-    "a count that is none": lambda a, r: (a | {"n_chosen": -1}, r),
-    "no spacing": lambda a, r: (a | {"hyperparameters": replace(a["hyperparameters"], spacing=0.0)}, r),
-    "unknown setting": lambda a, r: (a | {"config": {"blocks": 3}}, r),
-    "no samples": lambda a, r: (a, {k: v for k, v in r.items() if k != "kept"} | {"kept": np.zeros((0, 6))}),
-    "sums elsewhere": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 1000}),
-    "half a cell": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 0.5}),
-    "other columns": lambda a, r: (a, r | {"sums": np.zeros((len(r["sums"]), N_SUMS - 1))}),
-    "NaN": lambda a, r: (a, r | {"moments": np.full((4, 3), np.nan)}),
-    "moments missing": lambda a, r: (a, {k: v for k, v in r.items() if k != "moments"}),
-    "moments of too few rows": lambda a, r: (a, r | {"moments": r["moments"][:3]}),
-    "unknown array": lambda a, r: (a, r | {"other": np.zeros((1, 3))}),
+    "no spacing": lambda c, m: {"hyperparameters": replace(c["hyperparameters"], spacing=0.0)},
+    "unknown setting": lambda c, m: {"config": {"blocks": 3}},
+    "no start": lambda c, m: {"start": None},
+    "another start": lambda c, m: {"start": c["start"] + 1e9},
+    "no samples": lambda c, m: replaced(m, kept=np.zeros((0, 6))),
+    "too many of a cell": lambda c, m: replaced(m, kept=np.repeat(m.kept, 3, axis=0)),
+    "sums elsewhere": lambda c, m: replaced(m, cells=m.cells + 1000),
+    "half a cell": lambda c, m: replaced(m, cells=m.cells + 0.5),
+    "other columns": lambda c, m: replaced(m, sums=np.zeros((len(m.sums), N_SUMS - 1))),
+    "NaN": lambda c, m: replaced(m, squares=np.full((3, 3), np.nan)),
+    "no total": lambda c, m: replaced(m, total=None),
+    "an unknown class": lambda c, m: {"measured": H},
 }
 
 
 @pytest.mark.parametrize("name", CRAFTED)
 def test_crafted_checkpoints_are_one_clear_error(checkpoint, tmp_path, name):
-    content = load(checkpoint, SCHEMA, (Hyperparameters,))
-    attributes, arrays = CRAFTED[name](content, content["arrays"])
-    save(tmp_path / "bad.live", SCHEMA, attributes | {"arrays": arrays})
+    content = load(checkpoint, SCHEMA, (Hyperparameters, MeasuredCells))
+    save(tmp_path / "bad.live", SCHEMA, content | CRAFTED[name](content, content["measured"]))
     with pytest.raises(DataFormatError) as caught:
         FieldEstimator.load(tmp_path / "bad.live")
     assert "\n" not in str(caught.value)
