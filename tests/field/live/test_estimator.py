@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import DataFormatError, SurveyError
-from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import SCHEMA, FieldEstimator
 from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS, MeasuredCells
@@ -69,13 +68,14 @@ def test_order_and_chunks_of_samples_do_not_matter(at_once, seed, n_parts, asked
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=0, atol=1e-8 * other.covariance.max())
 
 
-def test_a_place_smaller_than_a_block_is_one_spline_model():
+def test_a_place_smaller_than_a_block_is_one_spline_model(monkeypatch):
+    monkeypatch.setattr("magmatch.field.live.estimator.BLOCK", 24)
     rng = np.random.default_rng(3)
     x = rng.uniform(-0.5, 0.5, (400, 3)) * [1, 1, 0.3]
     b = field_at(x) + 5e-7 * rng.normal(size=x.shape)
     model = SplineModel.over(x, H)
     posterior = model.infer(model.observe(x, b))
-    live = fed(x, b, config=EstimatorConfig(block=24)).predict(x[:20], 2)
+    live = fed(x, b).predict(x[:20], 2)
     expected = posterior.evaluate(x[:20], 2)
     for name in ("field", "gradient", "second"):
         scale = np.abs(getattr(expected, name)).max()
@@ -172,10 +172,11 @@ def test_a_resumed_estimate_predicts_the_same_bits(tmp_path, n):
     assert (tmp_path / "b.live").read_bytes() == (tmp_path / "c.live").read_bytes()
 
 
-def test_hyperparameters_are_chosen_from_the_first_samples_and_kept(tmp_path):
+def test_hyperparameters_are_chosen_from_the_first_samples_and_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.field.live.estimator.N_FIRST", 300)
     x, b = walk()
     x, b = x[300:], b[300:]
-    estimator = FieldEstimator(config=EstimatorConfig(n_first=300))
+    estimator = FieldEstimator()
     with pytest.raises(SurveyError, match="at least 10 samples"):
         estimator.predict(queries())
     estimator.update(x[:100], b[:100])
@@ -207,14 +208,15 @@ def test_numbers_chosen_again_keep_the_cells_that_hold_sums():
     assert np.abs(estimator.predict(queries()).field - field_at(queries())).max() < 5e-6
 
 
-def test_a_live_estimate_becomes_a_map(caplog, tmp_path):
+def test_a_live_estimate_becomes_a_map(caplog, tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.field.live.estimator.BLOCK", 40)
     x, b = walk(200, length=1.5)
     x = x + np.array([0.0, 0.0, 1.0])
     field_map = fed(x[66:], b[66:]).to_map()
     assert isinstance(field_map, FieldMap)
     assert field_map.hyperparameters.spacing == H.spacing
     q = x[100:120]
-    live = fed(x[66:], b[66:], config=EstimatorConfig(block=40)).predict(q)
+    live = fed(x[66:], b[66:]).predict(q)
     np.testing.assert_allclose(field_map.evaluate(q).field, live.field, atol=1e-8 * np.abs(b).max())
     np.testing.assert_allclose(field_map.covariance(q), live.covariance, atol=1e-8 * live.covariance.max())
     field_map.save(tmp_path / "live.map")
@@ -281,7 +283,6 @@ def replaced(measured, **changes):
 
 CRAFTED = {
     "no spacing": lambda c, m: {"hyperparameters": replace(c["hyperparameters"], spacing=0.0)},
-    "unknown setting": lambda c, m: {"config": {"blocks": 3}},
     "no start": lambda c, m: {"start": None},
     "another start": lambda c, m: {"start": c["start"] + 1e9},
     "no samples": lambda c, m: replaced(m, kept=np.zeros((0, 6))),

@@ -16,7 +16,7 @@ from magmatch.arguments import expect_kind, numbers_of, points_of, whole_number_
 from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
-from magmatch.field.config import MIN_SAMPLES, EstimatorConfig, FieldConfig
+from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.live_cells import KEPT_PER_CELL, MeasuredCells
@@ -33,6 +33,12 @@ log = logging.getLogger(__name__)
 SCHEMA = "magmatch.live/3"
 # Samples that wait before cells take them in together: a call that fills this up takes about a millisecond longer.
 N_WAITING = 256
+# Samples from which the hyperparameters are chosen where none are given: a few hundred see several lengthscales.
+# Below the fewest nothing can be said about lengthscale and noise.
+N_FIRST, MIN_SAMPLES = 400, 10
+# Side of a block, cells. Smaller ones are fitted faster, but more of them have a say at a place, and each sees its
+# neighbours' data too: on walks and in rooms 16 costs a prediction least (bench_live.py --block).
+BLOCK = 16
 # Largest distance from the first sample, m, and largest component, T.
 LIMITS = np.r_[np.full(3, MAX_EXTENT), np.full(3, MAX_FIELD)]
 
@@ -57,16 +63,11 @@ class FieldEstimator:
     """
 
     def __init__(
-        self,
-        hyperparameters: Hyperparameters | None = None,
-        config: EstimatorConfig | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, hyperparameters: Hyperparameters | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         if hyperparameters is not None:
             expect_kind(hyperparameters, "hyperparameters", (Hyperparameters,))
             hyperparameters.check()
-        self.config = EstimatorConfig() if config is None else config
-        expect_kind(self.config, "config", (EstimatorConfig,))
         _warm_up()
         self._clock = clock
         self._waiting, self._n_waiting = np.zeros((N_WAITING, 6)), 0
@@ -194,7 +195,6 @@ class FieldEstimator:
         """
         self._take_in()
         content = {
-            "config": self.config.model_dump(mode="json"),
             "hyperparameters": self.hyperparameters,
             "n_chosen": self._n_chosen,
             "start": self._start,
@@ -227,7 +227,7 @@ class FieldEstimator:
             array = (np.ndarray, type(None))
             expect(content, n_chosen=int, start=array, first=array, measured=(MeasuredCells, type(None)))
             start, first, measured = (content[name] for name in ("start", "first", "measured"))
-            estimator = cls(content["hyperparameters"], EstimatorConfig.model_validate(content["config"]), clock)
+            estimator = cls(content["hyperparameters"], clock)
             estimator._start, estimator._n_chosen = start, content["n_chosen"]
             estimator._first = None if first is None else [_sample_rows(first[:, :3], first[:, 3:], None)]
             for rows in (first, None if measured is None else measured.kept):
@@ -245,7 +245,7 @@ class FieldEstimator:
                 self._tiles.absorb(taken)
             if self._first is not None:
                 self._first.append(taken)
-        if self._first is not None and sum(map(len, self._first)) >= self.config.n_first:
+        if self._first is not None and sum(map(len, self._first)) >= N_FIRST:
             self._choose_from_first()
             self._first = None
 
@@ -267,7 +267,7 @@ class FieldEstimator:
         self._tiles.absorb(samples)
 
     def _laid(self, h: Hyperparameters) -> LiveTiles:
-        return _lay_tiles(h, self.config.block, self._clock)
+        return _lay_tiles(h, BLOCK, self._clock)
 
 
 def _lay_tiles(h: Hyperparameters, block: int, clock: Callable[[], float]) -> LiveTiles:
