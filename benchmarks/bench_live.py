@@ -17,11 +17,10 @@ from oracles.recursive import RecursiveSparseGP
 from threadpoolctl import threadpool_limits
 
 from magmatch.data.recordings import load_recordings
-from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
-from magmatch.field.live.estimator import FieldEstimator
+from magmatch.field.live import estimator as live
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 
 RATE, SPEED = 200, 1.0
@@ -61,8 +60,8 @@ def show(name, seconds, note=""):
 
 def run_live(x, b, building, rng, block):
     """Feed the walk, and ask along the way."""
-    now = [0.0]
-    estimator, seconds, _ = timed(FieldEstimator, H, EstimatorConfig(block=block), clock=lambda: now[0])
+    live.BLOCK, now = block, [0.0]
+    estimator, seconds, _ = timed(live.FieldEstimator, H, clock=lambda: now[0])
     print(f"    construction (compiles, or loads what was compiled): {seconds:.1f} s")
     updates, predictions, errors, scaled = np.empty(len(x)), [], [], []
     for i in range(len(x)):
@@ -107,7 +106,7 @@ def show_memory(estimator, n):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "walk.live"
         saving = timed(estimator.save, path).clock
-        again, loading, _ = timed(FieldEstimator.load, path)
+        again, loading, _ = timed(live.FieldEstimator.load, path)
         size = path.stat().st_size / 1e6
     print(f"    checkpoint: {size:.0f} MB, saved in {saving:.1f} s, resumed in {loading:.1f} s")
     assert len(again) == len(estimator)
@@ -134,7 +133,7 @@ def run_peer(x, b, half, n_updates=100):
 
 def run_building(one, two):
     """Walk one of a real building, one sample per call and nothing given, predicting walk two."""
-    estimator = FieldEstimator()
+    estimator = live.FieldEstimator()
     seconds = [timed(estimator.update, *sample).clock for sample in zip(one.positions, one.field, strict=True)]
     print(f"building (CEA), {len(one):,} samples, hyperparameters from the first: {estimator.hyperparameters}")
     show("update", seconds, " (the one that chose them)")
@@ -147,7 +146,7 @@ def run_building(one, two):
 
 
 def main():
-    asked = arguments(__doc__, samples=200_000, block=EstimatorConfig().block, recordings=None)
+    asked = arguments(__doc__, samples=200_000, block=live.BLOCK, recordings=None)
     rng = np.random.default_rng(0)
     x = walk(asked.samples, rng)
     building = Building(x, rng)

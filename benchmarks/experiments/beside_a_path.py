@@ -22,8 +22,8 @@ from magmatch.registration.index.map_index import WalkIndex
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
-from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.places import begin
 from magmatch.slam.search.submaps import TOGETHER, make_submap
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments

@@ -4,10 +4,9 @@
 from magmatch.data.formats.phones.phone_log import PhoneLog
 from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.surveyed_points import SurveyedPoints
-from magmatch.preparation.choose_magnetometer import prepare_either
-from magmatch.preparation.odometry.config import DeadReckoningConfig
-from magmatch.preparation.odometry.dead_reckon import Odometry, dead_reckon
+from magmatch.preparation.odometry.dead_reckon import DeadReckoningConfig, Odometry, dead_reckon
 from magmatch.preparation.odometry.open_walk import open_walk
+from magmatch.preparation.prepare import prepare_either
 
 __all__ = [
     "DeadReckoningConfig",

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.localization.hindsight.smooth import join
-from magmatch.localization.hindsight.stretches import agreement, believed, stretches
+from magmatch.localization.hindsight import agreement, believed, join, stretches
 from magmatch.localization.localize import localize
 
 NO_BIAS = np.zeros(3)

@@ -11,9 +11,14 @@ from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
 from magmatch.preparation.calibrate_in_place import fit_ellipsoid
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.plausible import MOST_SOFT_IRON, why_no_field, why_no_sensor
 from magmatch.preparation.prepare import prepare
-from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection
+from magmatch.preparation.sensor_model import (
+    MOST_SOFT_IRON,
+    SOFT_IRON_BASIS,
+    SensorCorrection,
+    why_no_field,
+    why_no_sensor,
+)
 
 UT = 1e-6
 QUICK = PreparationConfig.model_validate(

@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.diagnoses import diagnose
 from magmatch.data.survey import Survey
-from magmatch.preparation.choose_magnetometer import prepare_either
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.prepare import prepare
+from magmatch.preparation.prepare import prepare, prepare_either
 from magmatch.preparation.recalibrations import find_recalibrations
 from magmatch.preparation.sensor_log import SensorLog
 

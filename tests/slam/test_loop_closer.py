@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.registration.search.retrieval import shortlist
 from magmatch.runner import Runner
 from magmatch.slam import loop_search
-from magmatch.slam.decide.probable_closures import probable_closures
+from magmatch.slam.decide import probable_closures
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser

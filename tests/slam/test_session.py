@@ -18,13 +18,13 @@ from magmatch.field.sensor_biases import SensorBiases, without_bias
 from magmatch.geometry import exp_se3
 from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.runner import Runner
-from magmatch.slam.begin import settled
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.output.folder import require_folder, write_folder
 from magmatch.slam.output.graph_files import write_covariances, write_graph
+from magmatch.slam.places import settled
 from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match

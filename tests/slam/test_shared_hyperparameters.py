@@ -13,8 +13,8 @@ from magmatch.geometry import rotation_matrix
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
-from magmatch.slam.begin import begin
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.places import begin
 from magmatch.slam.shared_hyperparameters import as_rough_as_here, shared_hyperparameters
 
 

@@ -41,8 +41,7 @@ def odometry(
     """
     from magmatch.data.formats.phones.read import read_phone_log
     from magmatch.data.formats.sniff import sniff
-    from magmatch.preparation.odometry.config import DeadReckoningConfig
-    from magmatch.preparation.odometry.dead_reckon import dead_reckon
+    from magmatch.preparation.odometry.dead_reckon import DeadReckoningConfig, dead_reckon
 
     check_outputs((out,), inputs=(log,))
     if (kind := sniff(log)) != "phone":

@@ -67,8 +67,8 @@ def prepare(
     """
     from magmatch.data.formats.load_trajectory import load_trajectory
     from magmatch.data.read import read_raw_magnetometer, read_survey_and_channels
-    from magmatch.preparation.choose_magnetometer import prepare_either
     from magmatch.preparation.config import PreparationConfig
+    from magmatch.preparation.prepare import prepare_either
 
     if report is None and out.name and out.parent != Path("/dev"):  # a pipe has no folder for the report
         report = out.with_suffix(".json")

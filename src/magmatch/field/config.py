@@ -7,9 +7,6 @@ from pydantic import Field, model_validator
 
 from magmatch.settings import Settings
 
-# Live: below this nothing can be said about lengthscale and noise.
-MIN_SAMPLES = 10
-
 
 class FieldConfig(Settings):
     """Settings of the field inference; what is None is chosen from the data."""
@@ -49,13 +46,3 @@ class FieldConfig(Settings):
 # For maps that another task makes on its way: the spline suits every place, costs least, and is what their numbers
 # were fitted with.
 SPLINE = FieldConfig(prior="spline")
-
-
-class EstimatorConfig(Settings):
-    """Settings of the live estimate."""
-
-    # Samples from which the hyperparameters are chosen where none are given. A few hundred see several lengthscales.
-    n_first: int = Field(default=400, ge=MIN_SAMPLES)
-    # Side of a block, cells. Smaller ones are fitted faster, but more of them have a say at a place, and each sees
-    # its neighbours' data too: on walks and in rooms 16 costs a prediction least (bench_live.py --block).
-    block: int = Field(default=16, ge=4, le=64)

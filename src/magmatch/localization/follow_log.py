@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.arguments import expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
@@ -26,12 +25,8 @@ from magmatch.threads import one_blas_thread
 log = logging.getLogger(__name__)
 
 
-def follow_log(
-    known: KnownPlaces, walk: Survey, config: LocalizerConfig | None = None, *, at_once: bool = False
-) -> Track:
+def follow_log(known: KnownPlaces, walk: Survey, config: LocalizerConfig, *, at_once: bool = False) -> Track:
     """Localise a log as if live; see `localize`, and `Localizer.estimate`."""
-    config = config or LocalizerConfig()
-    expect_kind(config, "config", (LocalizerConfig,))
     require_survey(walk, name="log")
     if walk.times is None:
         msg = f"{walk.name}: expected a log with times, got none; add a column t (s)"

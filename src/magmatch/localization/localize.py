@@ -6,7 +6,7 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.follow_log import follow_log
-from magmatch.localization.hindsight.smooth import smooth
+from magmatch.localization.hindsight import smooth
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.localizer import ADVICE
 from magmatch.localization.track import Track
@@ -51,5 +51,7 @@ def localize(
     """
     expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
     expect_kind(log, "log", (Survey,), "a log is a Survey with times; read_survey reads one")
+    config = config or LocalizerConfig()
+    expect_kind(config, "config", (LocalizerConfig,))
     with followed(progress):
         return (follow_log if live else smooth)(KnownPlaces(place), log, config)

@@ -13,9 +13,8 @@ import numpy as np
 from magmatch.compiled import compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.matern import transition
 from magmatch.localization.measurement import FIT
-from magmatch.localization.state import Model, settle
+from magmatch.localization.state import Model, settle, transition
 from magmatch.typing import Vector3
 
 # Lengthscales, in field lengths, and strengths, in the map's standard deviation.

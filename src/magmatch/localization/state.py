@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled, inlined
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.matern import transition, transition_of
 from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import ROTATION, VECTOR, Matrix, Vector3
 
@@ -95,6 +94,24 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
     P[GAIN, GAIN] = config.gain_sd**2
     P[SCALE, SCALE] = config.odometry.scale_sd**2
     return P
+
+
+@inlined
+def transition(v):  # type: ignore[no-untyped-def]
+    """Of a Matern-3/2 process, give how value and slope depend on both a path of rate times length v before.
+
+    The slope is over its rate, and of the value's variance; f00, f01, f10, f11.
+    """
+    e = np.exp(-v)
+    return e * (1 + v), e * v, -e * v, e * (1 - v)
+
+
+@inlined
+def transition_of(is_smooth, x):  # type: ignore[no-untyped-def]
+    """Give the transition over so many lengthscales; a rough one is Ornstein-Uhlenbeck, without slope."""
+    if is_smooth:
+        return transition(np.sqrt(3.0) * x)
+    return np.exp(-x), 0.0, 0.0, 0.0
 
 
 @compiled

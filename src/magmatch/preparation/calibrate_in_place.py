@@ -8,8 +8,7 @@ from magmatch.errors import SurveyError
 from magmatch.estimation.gauss_newton import student_weights
 from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.least_squares import MEDIAN_TO_SD, MOST_STEPS, ParameterBlock, Solution, System
-from magmatch.preparation.plausible import why_no_field, why_no_sensor
-from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection, model_of
+from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection, model_of, why_no_field, why_no_sensor
 from magmatch.typing import Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50

@@ -12,7 +12,6 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.preparation.config import PreparationConfig, Switch
 from magmatch.preparation.consistency import MapConsistency, affordable, held_out_error
 from magmatch.preparation.least_squares import ParameterBlock, Solution, System
-from magmatch.preparation.plausible import why_no_sensor
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import (
     CHANNEL,
@@ -21,6 +20,7 @@ from magmatch.preparation.sensor_model import (
     channel_blocks,
     model_of,
     sensor_blocks,
+    why_no_sensor,
 )
 from magmatch.preparation.time_offset import coarse_settings, search_time_offset
 from magmatch.progress import tell

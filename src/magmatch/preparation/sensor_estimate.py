@@ -14,11 +14,10 @@ from magmatch.preparation.calibrate_on_map import CalibrationEstimate, calibrate
 from magmatch.preparation.calibration_steps import calibration_steps, known_sensor_step
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.disturbances import find_jumps, find_saturation
-from magmatch.preparation.plausible import why_no_field
 from magmatch.preparation.preparation_report import StepReport
 from magmatch.preparation.recalibrations import NO_CUTS, Recalibrations, find_recalibrations, recalibration_step
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import SensorCorrection
+from magmatch.preparation.sensor_model import SensorCorrection, why_no_field
 from magmatch.typing import Indices, Mask, Scalars, Vectors
 
 # m and rad: the jitter of poses at rest. A carrier that moves or turns by less shows no error of its sensor or clock.

@@ -18,10 +18,9 @@ from magmatch.geometry import path_moved
 from magmatch.number_text import told
 from magmatch.preparation.recalibrations import NEIGHBOURS
 from magmatch.runner import Runner
-from magmatch.slam.begin import begin, settled
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.loop_closer import LoopCloser
-from magmatch.slam.places import Places
+from magmatch.slam.places import Places, begin, settled
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.sensor_bias import in_one_calibration
 from magmatch.slam.shared_hyperparameters import N_PARTS

@@ -12,8 +12,7 @@ from magmatch.estimation.path_noise import PRIOR_STRETCHES, most_likely
 from magmatch.estimation.walk import MIN_BINS
 from magmatch.runner import Runner
 from magmatch.slam.config import LEAST_KEPT, SURE
-from magmatch.slam.decide.probable_closures import probable_closures
-from magmatch.slam.decide.shared_frame_odds import log_odds_shared
+from magmatch.slam.decide import log_odds_shared, probable_closures
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.learned_drift import learned_drift
 from magmatch.slam.graph.solve import solve

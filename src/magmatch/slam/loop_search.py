@@ -13,8 +13,7 @@ from magmatch.runner import Runner, Shared
 from magmatch.slam.config import MOST_PASSES
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate, Found, Search, Searched, compare
-from magmatch.slam.search.loop_closure import Anywhere, Match, residuals
-from magmatch.slam.search.predicted import is_known, nearby
+from magmatch.slam.search.loop_closure import Anywhere, Match, is_known, nearby, residuals
 from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, submap_of, table_of, volume_of
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices

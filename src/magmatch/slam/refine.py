@@ -23,7 +23,7 @@ from magmatch.geometry import product, rotation_matrix
 from magmatch.progress import counted
 from magmatch.runner import Runner
 from magmatch.slam.config import LEAST_KEPT, MOST_PASSES, SURE
-from magmatch.slam.decide.probable_closures import off_level
+from magmatch.slam.decide import off_level
 from magmatch.slam.graph.factors import SubmapFactor
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import PoseGraph
@@ -31,8 +31,7 @@ from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.places import Places
 from magmatch.slam.search.comparison import Candidate, Found, compare
-from magmatch.slam.search.loop_closure import SAME_SHIFT, Rough
-from magmatch.slam.search.predicted import expected_beside
+from magmatch.slam.search.loop_closure import SAME_SHIFT, Rough, expected_beside
 from magmatch.slam.search.submaps import make_submap
 from magmatch.slam.windows import Path, Window
 from magmatch.threads import single_threaded

@@ -25,7 +25,6 @@ from magmatch.progress import Progress, followed
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
-from magmatch.slam.begin import settled
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors, waypoints_of
 from magmatch.slam.graph.odometry import covariance_of_end
@@ -35,7 +34,7 @@ from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.loop_search import KINDS
-from magmatch.slam.places import Places
+from magmatch.slam.places import Places, settled
 from magmatch.slam.result import DriftResult, LogResult, SlamResult, SlamStatus
 from magmatch.slam.slam import correct, correct_more
 from magmatch.slam.statement import (

@@ -15,12 +15,11 @@ from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.progress import counted
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner
-from magmatch.slam.begin import begin
 from magmatch.slam.config import LEAST_KEPT, SURE, SlamConfig
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
-from magmatch.slam.places import Places
+from magmatch.slam.places import Places, begin
 from magmatch.slam.refine import refine
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.windows import Path

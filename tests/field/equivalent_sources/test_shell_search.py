@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from magmatch.field.equivalent_sources.shell import lay_shell
-from magmatch.field.equivalent_sources.shell_search import fit_shell
 from magmatch.field.folds import Folds, divide
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, walk_uphill
+from magmatch.field.priors.harmonic import fit_shell
 
 laws = settings(deadline=None, max_examples=30)
 NOISE = 0.4e-6

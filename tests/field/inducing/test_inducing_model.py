@@ -11,14 +11,15 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.inducing.gaussian_grid import GaussianGrid, InducingGrid
 from magmatch.field.inducing.inducing_model import InducingModel, dense_prior, gram_factor
+from magmatch.field.inducing.inducing_prior import InducingPrior
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
-from magmatch.field.priors.gaussian import DivergenceFreePrior
+from magmatch.field.priors import PRIORS
 from oracles.dense import DenseGP
 
 H = Hyperparameters(lengthscale=0.7, signal_sd=12e-6, noise_sd=0.5e-6, spacing=0.6)
 EARTH = np.array([18e-6, 2e-6, -44e-6])
 CONSTANT_SD = 1e-4
-PRIOR = DivergenceFreePrior()
+PRIOR = PRIORS["divergence_free"]
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +126,7 @@ def test_hyperparameters_follow_the_units_of_length_and_field(room):
 
 def test_wide_surveys_get_the_finest_nodes_the_cap_allows(caplog, room):
     points, field = room(seed=1, n=400, box=(12.0, 9.0, 1.0))
-    prior = DivergenceFreePrior(most=100)
+    prior = InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, 100)
     h = prior.choose_hyperparameters(points, field)
     assert "100 inducing points cannot cover the survey more finely" in caplog.text
     model = prior.build(points, field, h)

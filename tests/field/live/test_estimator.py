@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from magmatch.errors import DataFormatError, SurveyError
-from magmatch.field.config import EstimatorConfig
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.live.estimator import FieldEstimator
-from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS
-from magmatch.field.live.live_record import SCHEMA
+from magmatch.field.live.estimator import SCHEMA, FieldEstimator
+from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS, MeasuredCells
 from magmatch.field.map import FieldMap
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
@@ -70,13 +68,14 @@ def test_order_and_chunks_of_samples_do_not_matter(at_once, seed, n_parts, asked
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=0, atol=1e-8 * other.covariance.max())
 
 
-def test_a_place_smaller_than_a_block_is_one_spline_model():
+def test_a_place_smaller_than_a_block_is_one_spline_model(monkeypatch):
+    monkeypatch.setattr("magmatch.field.live.estimator.BLOCK", 24)
     rng = np.random.default_rng(3)
     x = rng.uniform(-0.5, 0.5, (400, 3)) * [1, 1, 0.3]
     b = field_at(x) + 5e-7 * rng.normal(size=x.shape)
     model = SplineModel.over(x, H)
     posterior = model.infer(model.observe(x, b))
-    live = fed(x, b, config=EstimatorConfig(block=24)).predict(x[:20], 2)
+    live = fed(x, b).predict(x[:20], 2)
     expected = posterior.evaluate(x[:20], 2)
     for name in ("field", "gradient", "second"):
         scale = np.abs(getattr(expected, name)).max()
@@ -173,10 +172,11 @@ def test_a_resumed_estimate_predicts_the_same_bits(tmp_path, n):
     assert (tmp_path / "b.live").read_bytes() == (tmp_path / "c.live").read_bytes()
 
 
-def test_hyperparameters_are_chosen_from_the_first_samples_and_kept(tmp_path):
+def test_hyperparameters_are_chosen_from_the_first_samples_and_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.field.live.estimator.N_FIRST", 300)
     x, b = walk()
     x, b = x[300:], b[300:]
-    estimator = FieldEstimator(config=EstimatorConfig(n_first=300))
+    estimator = FieldEstimator()
     with pytest.raises(SurveyError, match="at least 10 samples"):
         estimator.predict(queries())
     estimator.update(x[:100], b[:100])
@@ -208,14 +208,15 @@ def test_numbers_chosen_again_keep_the_cells_that_hold_sums():
     assert np.abs(estimator.predict(queries()).field - field_at(queries())).max() < 5e-6
 
 
-def test_a_live_estimate_becomes_a_map(caplog, tmp_path):
+def test_a_live_estimate_becomes_a_map(caplog, tmp_path, monkeypatch):
+    monkeypatch.setattr("magmatch.field.live.estimator.BLOCK", 40)
     x, b = walk(200, length=1.5)
     x = x + np.array([0.0, 0.0, 1.0])
     field_map = fed(x[66:], b[66:]).to_map()
     assert isinstance(field_map, FieldMap)
     assert field_map.hyperparameters.spacing == H.spacing
     q = x[100:120]
-    live = fed(x[66:], b[66:], config=EstimatorConfig(block=40)).predict(q)
+    live = fed(x[66:], b[66:]).predict(q)
     np.testing.assert_allclose(field_map.evaluate(q).field, live.field, atol=1e-8 * np.abs(b).max())
     np.testing.assert_allclose(field_map.covariance(q), live.covariance, atol=1e-8 * live.covariance.max())
     field_map.save(tmp_path / "live.map")
@@ -273,27 +274,32 @@ def checkpoint(tmp_path_factory):
     return path
 
 
+def replaced(measured, **changes):
+    """What was read, and is not checked any more, with other arrays."""
+    for name, value in changes.items():
+        object.__setattr__(measured, name, value)
+    return {"measured": measured}
+
+
 CRAFTED = {
-    "another count": lambda a, r: (a | {"n_samples": 7}, r),
-    "a count that is none": lambda a, r: (a | {"n_chosen": -1}, r),
-    "no spacing": lambda a, r: (a | {"hyperparameters": replace(a["hyperparameters"], spacing=0.0)}, r),
-    "unknown setting": lambda a, r: (a | {"config": {"blocks": 3}}, r),
-    "no samples": lambda a, r: (a, {k: v for k, v in r.items() if k != "kept"} | {"kept": np.zeros((0, 6))}),
-    "sums elsewhere": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 1000}),
-    "half a cell": lambda a, r: (a, r | {"summed_cells": r["summed_cells"] + 0.5}),
-    "other columns": lambda a, r: (a, r | {"sums": np.zeros((len(r["sums"]), N_SUMS - 1))}),
-    "NaN": lambda a, r: (a, r | {"moments": np.full((4, 3), np.nan)}),
-    "moments missing": lambda a, r: (a, {k: v for k, v in r.items() if k != "moments"}),
-    "moments of too few rows": lambda a, r: (a, r | {"moments": r["moments"][:3]}),
-    "unknown array": lambda a, r: (a, r | {"other": np.zeros((1, 3))}),
+    "no spacing": lambda c, m: {"hyperparameters": replace(c["hyperparameters"], spacing=0.0)},
+    "no start": lambda c, m: {"start": None},
+    "another start": lambda c, m: {"start": c["start"] + 1e9},
+    "no samples": lambda c, m: replaced(m, kept=np.zeros((0, 6))),
+    "too many of a cell": lambda c, m: replaced(m, kept=np.repeat(m.kept, 3, axis=0)),
+    "sums elsewhere": lambda c, m: replaced(m, cells=m.cells + 1000),
+    "half a cell": lambda c, m: replaced(m, cells=m.cells + 0.5),
+    "other columns": lambda c, m: replaced(m, sums=np.zeros((len(m.sums), N_SUMS - 1))),
+    "NaN": lambda c, m: replaced(m, squares=np.full((3, 3), np.nan)),
+    "no total": lambda c, m: replaced(m, total=None),
+    "an unknown class": lambda c, m: {"measured": H},
 }
 
 
 @pytest.mark.parametrize("name", CRAFTED)
 def test_crafted_checkpoints_are_one_clear_error(checkpoint, tmp_path, name):
-    content = load(checkpoint, SCHEMA, (Hyperparameters,))
-    attributes, arrays = CRAFTED[name](content, content["arrays"])
-    save(tmp_path / "bad.live", SCHEMA, attributes | {"arrays": arrays})
+    content = load(checkpoint, SCHEMA, (Hyperparameters, MeasuredCells))
+    save(tmp_path / "bad.live", SCHEMA, content | CRAFTED[name](content, content["measured"]))
     with pytest.raises(DataFormatError) as caught:
         FieldEstimator.load(tmp_path / "bad.live")
     assert "\n" not in str(caught.value)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.selection.path_cross_validation import HeldOutErrors, cross_validate_path, expecting
 from magmatch.field.selection.spline_evidence import EvidenceSearch
+from magmatch.field.selection.spline_hyperparameters import HeldOutErrors, cross_validate_path, expecting
 from magmatch.field.spline.spline_model import SplineModel
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magmatch.slam.decide.chain import smooth
+from magmatch.slam.decide import smooth
 
 REVISIT, KEEPS_ON = 0.4, 0.8
 

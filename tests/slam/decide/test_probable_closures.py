@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.slam.decide.probable_closures import Weighted, by_pass, closure_beside, same_answer
+from magmatch.slam.decide import Weighted, by_pass, closure_beside, same_answer
 from magmatch.slam.search.comparison import Candidate
 from magmatch.slam.search.loop_closure import Match
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.runner import Runner
-from magmatch.slam.decide.shared_frame_odds import log_odds_shared
+from magmatch.slam.decide import log_odds_shared
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closer import LoopCloser

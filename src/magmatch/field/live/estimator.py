@@ -16,22 +16,29 @@ from magmatch.arguments import expect_kind, numbers_of, points_of, whole_number_
 from magmatch.data.checks import MAX_EXTENT, MAX_FIELD
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
-from magmatch.field.config import MIN_SAMPLES, EstimatorConfig, FieldConfig
+from magmatch.field.config import FieldConfig
 from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.live.live_cells import KEPT_PER_CELL
-from magmatch.field.live.live_record import LiveRecord
+from magmatch.field.live.live_cells import KEPT_PER_CELL, MeasuredCells
 from magmatch.field.live.live_tiles import LiveTiles, Prediction
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
 from magmatch.field.tiles.tiles import Tiling
+from magmatch.store import expect, load, naming, save
 from magmatch.threads import single_threaded
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
 
+SCHEMA = "magmatch.live/3"
 # Samples that wait before cells take them in together: a call that fills this up takes about a millisecond longer.
 N_WAITING = 256
+# Samples from which the hyperparameters are chosen where none are given: a few hundred see several lengthscales.
+# Below the fewest nothing can be said about lengthscale and noise.
+N_FIRST, MIN_SAMPLES = 400, 10
+# Side of a block, cells. Smaller ones are fitted faster, but more of them have a say at a place, and each sees its
+# neighbours' data too: on walks and in rooms 16 costs a prediction least (bench_live.py --block).
+BLOCK = 16
 # Largest distance from the first sample, m, and largest component, T.
 LIMITS = np.r_[np.full(3, MAX_EXTENT), np.full(3, MAX_FIELD)]
 
@@ -56,16 +63,11 @@ class FieldEstimator:
     """
 
     def __init__(
-        self,
-        hyperparameters: Hyperparameters | None = None,
-        config: EstimatorConfig | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, hyperparameters: Hyperparameters | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         if hyperparameters is not None:
             expect_kind(hyperparameters, "hyperparameters", (Hyperparameters,))
             hyperparameters.check()
-        self.config = EstimatorConfig() if config is None else config
-        expect_kind(self.config, "config", (EstimatorConfig,))
         _warm_up()
         self._clock = clock
         self._waiting, self._n_waiting = np.zeros((N_WAITING, 6)), 0
@@ -192,8 +194,14 @@ class FieldEstimator:
             The folder does not exist.
         """
         self._take_in()
-        first = np.concatenate([np.zeros((0, 6)), *self._first]) if self._first is not None else None
-        LiveRecord.of(self.config, self._n_chosen, self._start, first, self._tiles).write(path)
+        content = {
+            "hyperparameters": self.hyperparameters,
+            "n_chosen": self._n_chosen,
+            "start": self._start,
+            "first": None if self._first is None else np.concatenate([np.zeros((0, 6)), *self._first]),
+            "measured": None if self._tiles is None or not self._tiles.blocks else self._tiles.measured(),
+        }
+        save(path, SCHEMA, content)
 
     @classmethod
     def load(cls, path: str | Path, clock: Callable[[], float] = time.monotonic) -> Self:
@@ -214,12 +222,19 @@ class FieldEstimator:
         DataFormatError
             Not a checkpoint, damaged, or of another version.
         """
-        record = LiveRecord.read(path)
-        estimator = cls(None, record.config, clock)
-        estimator._start, estimator._n_chosen = record.start, record.n_chosen
-        estimator._first = [record.arrays["first"]] if "first" in record.arrays else None
-        if record.hyperparameters is not None:
-            estimator._tiles = record.restore_into(estimator._laid(record.hyperparameters))
+        content = load(path, SCHEMA, (Hyperparameters, MeasuredCells))
+        with naming(path):
+            array = (np.ndarray, type(None))
+            expect(content, n_chosen=int, start=array, first=array, measured=(MeasuredCells, type(None)))
+            start, first, measured = (content[name] for name in ("start", "first", "measured"))
+            estimator = cls(content["hyperparameters"], clock)
+            estimator._start, estimator._n_chosen = start, content["n_chosen"]
+            estimator._first = None if first is None else [_sample_rows(first[:, :3], first[:, 3:], None)]
+            for rows in (first, None if measured is None else measured.kept):
+                if rows is not None and len(rows):
+                    _check_samples(rows, start)
+            if measured is not None and estimator._tiles is not None:
+                estimator._tiles.restore(measured)
         return estimator
 
     def _take_in(self) -> None:
@@ -230,7 +245,7 @@ class FieldEstimator:
                 self._tiles.absorb(taken)
             if self._first is not None:
                 self._first.append(taken)
-        if self._first is not None and sum(map(len, self._first)) >= self.config.n_first:
+        if self._first is not None and sum(map(len, self._first)) >= N_FIRST:
             self._choose_from_first()
             self._first = None
 
@@ -252,7 +267,7 @@ class FieldEstimator:
         self._tiles.absorb(samples)
 
     def _laid(self, h: Hyperparameters) -> LiveTiles:
-        return _lay_tiles(h, self.config.block, self._clock)
+        return _lay_tiles(h, BLOCK, self._clock)
 
 
 def _lay_tiles(h: Hyperparameters, block: int, clock: Callable[[], float]) -> LiveTiles:

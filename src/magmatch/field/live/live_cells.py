@@ -5,6 +5,8 @@ The sums are the information of a cell's samples on its 64 splines and the const
 that was visited for hours takes no more memory than one visited for a minute.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from magmatch.compiled import compiled
@@ -19,6 +21,26 @@ KEPT_PER_CELL = 64
 # squares, and number of samples. 18.7 kB in all.
 BORDER, RHS, TOTAL, SQUARE, COUNT = 2080, 2272, 2336, 2339, 2340
 N_SUMS = 2341
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MeasuredCells:
+    """All that was measured in some cells, as a checkpoint keeps it."""
+
+    kept: np.ndarray  # (n, 6): position (m) and field (T) of samples that are kept as they are, block by block
+    cells: np.ndarray  # (k, 3) int: cells of the lattice that hold more
+    sums: np.ndarray  # (k, N_SUMS): sums over their other samples
+    total: np.ndarray  # (3,), T: sum of all fields, and of their products, (3, 3), T^2
+    squares: np.ndarray
+
+    def __post_init__(self) -> None:
+        n, k = len(self.kept), len(self.sums)
+        shapes = {"kept": (n, 6), "cells": (k, 3), "sums": (k, N_SUMS), "total": (3,), "squares": (3, 3)}
+        for name, shape in shapes.items():
+            array, kind = getattr(self, name), np.int64 if name == "cells" else np.float64
+            if array.shape != shape or array.dtype != kind or not np.isfinite(array).all():
+                msg = f"entry '{name}': expected finite numbers of shape {shape}, got {array.dtype} of {array.shape}"
+                raise ValueError(msg)
 
 
 class Block:
@@ -67,6 +89,9 @@ class Block:
 
     def restore(self, cells: np.ndarray, sums: np.ndarray) -> None:
         """Put back sums that were saved, after the kept samples were absorbed again."""
+        if self._n_sums:
+            msg = f"entry 'kept': expected at most {KEPT_PER_CELL} samples of a cell"
+            raise ValueError(msg)
         number = np.ravel_multi_index(tuple((cells - self.first).T), (self.side,) * 3)
         self.slot[number] = np.arange(len(number))
         self.seen[number] += sums[:, COUNT].astype(np.int64)

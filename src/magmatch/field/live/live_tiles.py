@@ -16,7 +16,7 @@ from magmatch.field.cholesky.cells import lattice_coordinate, lay_cells
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index
-from magmatch.field.live.live_cells import Block, add_sums
+from magmatch.field.live.live_cells import COUNT, Block, MeasuredCells, add_sums
 from magmatch.field.spline.spline_model import SplineModel, SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import blended_covariance, blended_values, tile_shares
@@ -92,10 +92,19 @@ class LiveTiles:
         self.total += samples[:, 3:].sum(axis=0)
         self.squares += samples[:, 3:].T @ samples[:, 3:]
 
-    def restore(self, cells: np.ndarray, sums: np.ndarray) -> None:
-        """Put back sums that were saved, after the kept samples were absorbed again: (k, 3) and (k, N_SUMS)."""
-        for index, rows in self._by_block(cells).items():
-            self.blocks[index].restore(cells[rows], sums[rows])
+    def measured(self) -> MeasuredCells:
+        """All that was measured, from which every block is fitted again to the same bits."""
+        cells = np.concatenate([block.summed_cells for block in self.blocks.values()])
+        sums = np.concatenate([block.sums for block in self.blocks.values()])
+        return MeasuredCells(self.kept, cells, sums, self.total, self.squares)
+
+    def restore(self, measured: MeasuredCells) -> None:
+        """Fill empty tiles with what was measured."""
+        self.absorb(measured.kept)
+        for index, rows in self._by_block(measured.cells).items():
+            self.blocks[index].restore(measured.cells[rows], measured.sums[rows])
+        self.n_samples += int(measured.sums[:, COUNT].sum())
+        self.total, self.squares = measured.total.copy(), measured.squares.copy()
 
     def change(self, hyperparameters: Hyperparameters) -> None:
         """Go on with other numbers for the same cells."""

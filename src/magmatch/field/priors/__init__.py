@@ -1,17 +1,44 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Families of field models, one file each; this table is what configuration names refer to."""
+"""Families of field models; a table of them is what configuration names refer to.
+
+The default is a potential of cubic splines on cells near the data, smooth, with a soft law div B = 0.
+"""
 
 from magmatch.field.domain import Box
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.inducing_prior import InducingPrior
-from magmatch.field.linear_model import Prior
-from magmatch.field.priors.gaussian import CurlFreePrior, DivergenceFreePrior
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, GRADIENT, CurlFreeKernel, DivergenceFreeKernel
+from magmatch.field.linear_model import Prior, check_samples
 from magmatch.field.priors.harmonic import HarmonicPrior
-from magmatch.field.priors.spline import SplinePrior
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.tiles.region_model import TiledModel, WholeModel, lay_splines
+from magmatch.typing import Points, Vectors
 
-# Their cost grows with the cube of their weights: not every survey can afford them.
+# Three weights each: more take minutes.
+MAX_INDUCING_POINTS = 1200
+
+
+class SplinePrior:
+    """Curl-free exactly (but where tiles blend), divergence-free softly, sparse: the cost follows the volume."""
+
+    name = "spline"
+    is_calibrated = True
+
+    def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
+        """Numbers under which the survey is most likely; deterministic."""
+        return choose_spline_hyperparameters(points, field)
+
+    def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> WholeModel | TiledModel:
+        """Lay splines over the surroundings of the points, in tiles where one factor would grow too large."""
+        check_samples(points, field, 1)
+        return lay_splines(points, hyperparameters)
+
+
+# Their cost grows with the cube of their weights: not every survey can afford them. The first is published; the
+# second, minus the gradient of a potential (Solin et al. 2018), has one weight an inducing point.
 DENSE_PRIORS: dict[str, InducingPrior | HarmonicPrior] = {
-    "divergence_free": DivergenceFreePrior(),
-    "curl_free": CurlFreePrior(),
+    "divergence_free": InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, MAX_INDUCING_POINTS),
+    "curl_free": InducingPrior("curl_free", CurlFreeKernel, GRADIENT, 3 * MAX_INDUCING_POINTS),
     "harmonic": HarmonicPrior(),
 }
 PRIORS: dict[str, Prior] = {"spline": SplinePrior(), **DENSE_PRIORS}

@@ -1,20 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Hyperparameters of the spline prior: by tempered evidence on a part of the survey, and cross-validated noise."""
+"""Hyperparameters of the spline prior: by tempered evidence on a part of the survey, and cross-validated noise.
+
+Along a path stretches are held out and predicted from the rest. Only other passes and the prior can predict one, so
+these errors include what a map must expect of other surveys: drifting poses, and structure between the lanes.
+"""
 
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from magmatch.field.folds import COVERAGE, IN_SDS, folds_of, path_stretches
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.evidence_climb import climb, rounded, settle
-from magmatch.field.selection.path_cross_validation import cross_validate_path, expecting
 from magmatch.field.selection.spline_evidence import EvidenceSearch
 from magmatch.field.selection.spline_layout import REACH_OF_A_PATH, SplineLayout, affordable_spacing
 from magmatch.field.subset import choose_part
 from magmatch.field.variogram import typical_length
-from magmatch.typing import Points, Vectors
+from magmatch.threads import side_by_side
+from magmatch.typing import Mask, Points, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +41,10 @@ LENGTHSCALE_IN_SPACINGS = 4.0
 START, START_OF_A_PATH = (120.0, 3000.0), (12.0, 300.0)
 # Least inflation of the posterior: its hyperparameters are themselves estimates.
 LEAST_INFLATION = 1.3
+# The half of what is left out that is nearest to other passes counts; the rest crosses none and tells nothing. The
+# mean of the roots of their errors is taken, so that the few that nothing could predict do not dominate.
+SHARE, POWER = 0.5, 0.5
+INFLATIONS = np.geomspace(1.3, 8.0, 13)
 
 
 def choose_spline_hyperparameters(points: Points, field: Vectors) -> Hyperparameters:
@@ -118,3 +128,50 @@ def search_smaller_part(
 ) -> EvidenceSearch:
     """Search that tells all but the spacing and the last of the noise, of samples that lie anywhere."""
     return _search(points, field, start, SMALLER_PART * search.operations(start), 0, len(search.points))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HeldOutErrors:
+    """Errors (T) of predictions of held-out stretches, their variances (T^2), and where other passes are near."""
+
+    errors: Vectors
+    variances: Vectors
+    is_near: Mask
+
+    @property
+    def size(self) -> float:
+        """Size of one component's error where other passes are near, T."""
+        size = np.linalg.norm(self.errors[self.is_near], axis=1)
+        return float((size**POWER).mean() ** (1 / POWER) / np.sqrt(3))
+
+    def inflation(self, noise_sd: float) -> float:
+        """Factor on the posterior's standard deviation for which 95 % intervals cover 95 % of the held-out data."""
+        size, v = np.abs(self.errors), self.variances
+        covered = [(size <= IN_SDS * np.sqrt(noise_sd**2 + f**2 * v)).mean() >= COVERAGE for f in INFLATIONS]
+        return float(INFLATIONS[np.argmax(covered) if any(covered) else -1])
+
+
+def cross_validate_path(search: EvidenceSearch, h: Hyperparameters, lengthscale: float) -> HeldOutErrors | None:
+    """Hold out stretches of a path, long relative to a lengthscale; None if none can be held out."""
+    points, left_out = search.points, folds_of(path_stretches(search.points, lengthscale))
+    if not left_out:
+        return None
+
+    def predict(fold: Mask) -> tuple[Vectors, Vectors]:
+        posterior, x = search.fit_without(fold, h), points[fold]
+        error = posterior.evaluate(x).field - search.field[fold]
+        return error, np.diagonal(posterior.covariance(x), axis1=1, axis2=2)
+
+    errors, variances = zip(*side_by_side(predict, left_out), strict=True)
+    distance = np.concatenate([cKDTree(points[~fold]).query(points[fold])[0] for fold in left_out])
+    return HeldOutErrors(np.concatenate(errors), np.concatenate(variances), distance <= np.quantile(distance, SHARE))
+
+
+def expecting(h: Hyperparameters, evident_noise_sd: float, missed: HeldOutErrors) -> Hyperparameters:
+    """Noise and spread that a map must expect of other surveys; the mean is unchanged.
+
+    Along a path the nearest samples share their error: the errors of other passes exceed the noise found by the
+    evidence. ``missed``: the errors of a posterior with that noise and without inflation.
+    """
+    noise = max(evident_noise_sd, missed.size)
+    return replace(h.with_noise(noise), inflation=missed.inflation(noise) * evident_noise_sd / noise)

@@ -5,6 +5,7 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 from scipy.signal import butter, find_peaks, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +13,7 @@ from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError, import_extra
 from magmatch.number_text import many
-from magmatch.preparation.odometry.config import DeadReckoningConfig
+from magmatch.settings import Settings
 from magmatch.typing import Indices, Scalars, Vectors
 
 log = logging.getLogger(__name__)
@@ -38,6 +39,13 @@ FACTOR_SD, STEP_SD = 0.08, 0.1
 WHAT_FOR = "dead reckoning"
 # Bounds of what is taken for one walk: s, readings a second, and the longest gap that is not worth a word (s).
 SPAN, SLOWEST, GAP = (2.0, 86_400.0), 15.0, 0.2
+
+
+class DeadReckoningConfig(Settings):
+    """Settings of `magmatch.phones.dead_reckon`."""
+
+    # Ratio of the walker's step length to the average: true length of a path over the one found.
+    step_scale: float = Field(default=1.0, ge=0.3, le=3)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -19,9 +19,9 @@ from magmatch.slam.search.loop_closure import (
     Expected,
     Match,
     Rough,
+    expected_beside,
     matches,
 )
-from magmatch.slam.search.predicted import expected_beside
 from magmatch.slam.search.submaps import Submap
 from magmatch.slam.windows import Window
 from magmatch.threads import single_threaded

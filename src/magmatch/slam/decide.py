@@ -1,26 +1,38 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Probable closures of a log: candidates of all its windows are weighed together along the path."""
+"""Decision on loop closures: which of the places where the windows of a log may lie are believed.
+
+Candidates of all windows of a log are weighed together along the path. Neighbouring windows support each other: the
+forward-backward algorithm over their poses. The states of a window are its candidate poses and "nowhere among what
+was searched". A candidate that follows from the previous one by odometry gains the ratio of odometry's predicted
+density to that of the prior.
+
+A closure from nowhere connects two logs, or one whose drift has grown so large that it may be anywhere. All windows
+that it puts beside known path have a say. Those that proposed it are the best of many, at the best of many places.
+The others were not chosen: if the closure is right, most of them find their place where it says; if not, none does.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.special import logsumexp
 
 from magmatch.geometry import is_one_pose, product, turn_and_shift
 from magmatch.slam.config import COMMON, LEAST_KEPT, SURE, SlamConfig
-from magmatch.slam.decide.chain import smooth
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
 from magmatch.slam.search.comparison import Candidate
-from magmatch.slam.search.loop_closure import NODE_COVARIANCE, log_density
-from magmatch.slam.search.predicted import is_known
+from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Match, is_known, log_density
 from magmatch.slam.windows import Path, Window
-from magmatch.typing import Covariance6, Indices, Matrix, Scalars
+from magmatch.typing import Covariance6, Indices, Matrix, Points, Scalars
 
 # Candidates of a window that take part.
 MOST_CANDIDATES = 12
+# Poses drawn, to see how likely a window is on known path.
+N_DRAWS = 64
 
 
 def probable_closures(
@@ -53,6 +65,47 @@ def probable_closures(
             for passed in by_pass([found[k] for k in same], p[same], graph):
                 closures.append(closure_beside(passed, window.node, paths, odds, graph))
     return closures
+
+
+def smooth(
+    windows: Sequence[Sequence[Match]], log_transitions: list[Matrix], revisits: Sequence[float], keeps_on: float
+) -> list[Scalars]:
+    """Probability of each candidate pose of each window; the remainder to one is that of nowhere.
+
+    ``log_transitions`` (a, b) between neighbouring windows: log density of b's pose as odometry predicts it from a's;
+    ``revisits``: for each window, the share of such windows that lie somewhere; ``keeps_on``: of windows that do,
+    the share whose next window does too.
+    """
+    leaves = 1 - keeps_on
+    forward: list[Scalars] = []
+    steps = []
+    for k, (states, revisit) in enumerate(zip(windows, revisits, strict=True)):
+        # As many as leave; where a window is known to lie somewhere, whatever the one before did.
+        enters = min(leaves * revisit / (1 - revisit), revisit)
+        own = np.array([0.0, *(s.log_odds - s.log_prior for s in states)])
+        prior = np.array([s.log_prior for s in states])
+        if k == 0:
+            start = np.concatenate([[np.log(1 - revisit)], np.log(revisit) + prior])
+            forward.append(start + own)
+            continue
+        before = windows[k - 1]
+        M = np.full((len(before) + 1, len(states) + 1), np.log(leaves))
+        M[0, 0] = np.log1p(-enters)
+        M[0, 1:] = np.log(enters) + prior
+        if before and states:
+            # Odometry may fail as well: a window may leave one place for another.
+            M[1:, 1:] = np.logaddexp(np.log(keeps_on) + log_transitions[k - 1], np.log(leaves * revisit) + prior)
+        steps.append((M, own))
+        forward.append(logsumexp(forward[-1][:, None] + M, axis=0) + own)
+    found = [np.zeros(0)] * len(windows)
+    backward = np.zeros(len(windows[-1]) + 1) if windows else np.zeros(1)
+    for k in range(len(windows) - 1, -1, -1):
+        log_p = forward[k] + backward
+        found[k] = np.exp(log_p - logsumexp(log_p))[1:]
+        if k:
+            M, own = steps[k - 1]
+            backward = logsumexp(M + (own + backward)[None, :], axis=1)
+    return found
 
 
 def _log_transition(
@@ -150,3 +203,42 @@ def off_level(config: SlamConfig) -> Covariance6:
     held = np.diag(NODE_COVARIANCE).copy()
     held[config.drifts] = 0.0
     return 2 * np.diag(held)
+
+
+def log_odds_shared(
+    windows: Sequence[Window],
+    known: Points,
+    found: Sequence[Sequence[Candidate]],
+    log_prior: dict[int, float],
+    graph: PoseGraph,
+) -> float:
+    """Log odds (nats) that windows share the frame of known path over that they are unconnected.
+
+    The graph connects the windows to known path, points (n, 3) in the component's frame (m); ``found`` says for
+    each where it then lies on that. ``log_prior``: for the nodes that proposed closures, the density of the prior
+    that they were found with, from nowhere. One window pays for the transform with that; it predicts the others.
+    """
+    matches = (max((c.match for c in some), key=lambda m: m.log_odds, default=None) for some in found)
+    best = {w.node: m for w, m in zip(windows, matches, strict=True) if m is not None}
+    free = {node: best[node].log_odds - best[node].log_prior + log_prior[node] for node in best if node in log_prior}
+    if not free:
+        return -np.inf
+    first = max(free, key=lambda node: free[node])
+    rest = [node for node in best if node != first]
+    chance = graph.config.keeps_on * _chances_on_path(rest, first, known, windows[0].length, graph)
+    odds = np.array([best[node].log_odds for node in rest])
+    return float(free[first] + np.logaddexp(np.log1p(-chance), np.log(np.maximum(chance, 1e-300)) + odds).sum())
+
+
+def _chances_on_path(
+    nodes: Sequence[int], connected: int, known: Points, length: float, graph: PoseGraph
+) -> np.ndarray:
+    """Probability that each node is within a field length of known path, as a node on it sees them."""
+    tree, draws = cKDTree(known), np.random.default_rng(0).standard_normal((N_DRAWS, 3))
+    chances = []
+    for node in nodes:
+        C = graph.relative_covariances(np.array([connected]), node)[0][3:, 3:]
+        w, V = np.linalg.eigh(C)
+        points = graph.p[node] + (draws * np.sqrt(np.maximum(w, 0.0))) @ (graph.R[node] @ V).T
+        chances.append(float(np.mean(tree.query(points)[0] < length)))
+    return np.array(chances)
