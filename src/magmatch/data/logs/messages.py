@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.logs.decode import MalformedError, decode, no_json, number
-from magmatch.data.logs.log import Channel, printable
+from magmatch.data.logs.log import Channel
+from magmatch.data.tables.text import printable
 from magmatch.data.tables.times import SECOND
 from magmatch.typing import Indices, Matrix
 
