@@ -7,7 +7,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.estimation.posterior import Kind, log_odds
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, Model, predict
@@ -65,7 +65,7 @@ def evidence(
     return found
 
 
-@compiled
+@allocating
 def _weigh_all(steps, fit, null, penalty, log_factors, log_priors):  # type: ignore[no-untyped-def]
     n_hypotheses, inverse = fit.shape[1], np.exp(-log_factors)
     gained, factor, misfit = np.zeros(n_hypotheses), np.zeros(n_hypotheses), np.zeros(n_hypotheses)
@@ -219,7 +219,7 @@ def stated(
     return said
 
 
-@compiled
+@allocating
 def _state(bank, last, T, frame, factor, model, said):  # type: ignore[no-untyped-def]
     h, step, out, T_map_model = bank[0], last[0], said[0], frame.T_map_model
     dR, u = np.zeros((3, 3)), np.zeros(3)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.field.inducing.kernels import N_ROWS
 from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX, derivative_table, values_of
 from magmatch.field.values import FieldValues
@@ -116,7 +116,7 @@ def charge_design(points: Points, sources: Points, order: int) -> np.ndarray:
     return out
 
 
-@compiled
+@allocating
 def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) -> None:
     row = np.zeros(out.shape[0])
     for i in range(len(points)):
@@ -163,7 +163,7 @@ def charge_field(points: Points, sources: Points, charges: Scalars, order: int) 
     return out
 
 
-@compiled
+@allocating
 def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: int, out: np.ndarray) -> None:
     row = np.zeros(out.shape[1])
     for i in range(len(points)):
@@ -214,7 +214,7 @@ def _near_surface(region: Points, distance: float, step: float) -> Points:
     return np.asarray(origin + step * np.argwhere(np.abs(away - distance) <= 1.4 * step))
 
 
-@compiled
+@allocating
 def _first_of(pairs: np.ndarray, n: int) -> np.ndarray:
     """Points of which no earlier one that stays is a close neighbour; pairs in ascending order."""
     stays = np.ones(n, dtype=np.bool_)
