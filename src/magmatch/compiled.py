@@ -116,7 +116,7 @@ def _types(words: str) -> tuple[types.Type, ...]:
 
 
 def compile_known(module: str) -> None:
-    """Compile the loops of a module, and of those that it imports, whose signatures are known: the last ones first."""
+    """Compile the loops of a module, and of those that it imports, whose signatures are known: last ones first."""
     import_module(module)
     # Who calls them compiles the first ones meanwhile: they meet in the middle.
     for loop, signature in reversed(_known):

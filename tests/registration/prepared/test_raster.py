@@ -64,5 +64,5 @@ def test_a_search_is_told_the_same_field_as_who_asks_for_the_gradient_too():
     raster = raster_of()
     field, sd, _, _ = raster.lookup(points_inside())
     for k, point in enumerate(points_inside()):
-        found = interpolate_field(raster.values, *find_cell(raster.values, ORIGIN, SPACING, *point))
+        found = interpolate_field.py_func(raster.values, *find_cell.py_func(raster.values, ORIGIN, SPACING, *point))
         np.testing.assert_allclose(found, [*field[k], sd[k]], atol=1e-12)

@@ -181,8 +181,7 @@ def _spread(occupied: np.ndarray, offsets: np.ndarray, length: np.ndarray, dista
     for i in range(occupied.shape[0]):
         for k in range(offsets.shape[0]):
             x, y, z = occupied[i, 0] + offsets[k, 0], occupied[i, 1] + offsets[k, 1], occupied[i, 2] + offsets[k, 2]
-            if length[k] < distance[x, y, z]:
-                distance[x, y, z] = length[k]
+            distance[x, y, z] = min(distance[x, y, z], length[k])
 
 
 def ball_offsets(radius: float) -> np.ndarray:

@@ -91,17 +91,19 @@ class SourceShell:
         return values_of(out, constant, order)
 
 
-def lay_shell(region: Points, distance: float, spacing: float, max_sources: int) -> SourceShell:
+def lay_shell(
+    region: Points, distance: float, spacing: float, max_sources: int, farthest: float = np.inf
+) -> SourceShell:
     """Charges evenly on the surface at a distance from the nearest point of a region.
 
-    Where they would be too many, distance and spacing (m) are widened alike.
+    Where they would be too many, distance and spacing (m) are widened alike, but no more once they are ``farthest``.
     """
     ratio = float(np.clip(spacing / distance, *_SPACING_RATIOS))
     tree = cKDTree(region)
     h = _affordable(ratio * distance, np.ptp(region, axis=0), ratio)
     while True:
         sources = _on_surface(region, tree, h / ratio, h)
-        if 0 < len(sources) <= max_sources:
+        if 0 < len(sources) <= max_sources or h / ratio > farthest:
             break
         h *= max(1.02, (len(sources) / max_sources) ** 0.5)
     some = np.ascontiguousarray(region[:: -(-len(region) // _N_SCALED)])
