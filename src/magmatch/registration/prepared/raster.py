@@ -33,7 +33,8 @@ class Raster(NamedTuple):
         values = np.zeros((int(np.prod(shape)), 4))
         values[:, 3] = -1.0
         values[rows, :3], values[rows, 3] = field, sd
-        return cls(origin, spacing, values.reshape(*shape, 4))
+        # A copy: loops are compiled anew for an array that cannot be written, as those of a file.
+        return cls(np.array(origin), spacing, values.reshape(*shape, 4))
 
     @property
     def field(self) -> np.ndarray:
