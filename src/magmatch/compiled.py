@@ -3,7 +3,8 @@
 
 A new user waits for that before the first answer, so it must be short. One signature per loop: one type and memory
 layout per argument. No exceptions, strings or `numpy.linalg` inside; nor, on the way of a registration, allocations,
-slices or array expressions: each drags more of numba's library through the compiler than the loop itself.
+slices or array expressions: each drags more of numba's library through the compiler than the loop itself. A loop that
+allocates nothing needs no counts of references (`_nrt`); one that only loops call needs no way in from Python.
 """
 
 import atexit
@@ -74,9 +75,14 @@ class Keeping:
 KEEPING = Keeping()
 
 
-def compiled(function: Any) -> Any:
-    """Compile a loop at its first call; the numpy error model: division by 0 is infinity, nothing can be raised."""
-    return KEEPING(njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function))  # type: ignore[call-overload]
+def _compiled(**options: bool) -> Callable[[Any], Any]:
+    """Compile at the first call; the numpy error model: division by 0 is infinity, nothing can be raised."""
+    decorate = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)  # type: ignore[call-overload]
+    return lambda function: KEEPING(decorate(function))
+
+
+# A loop; one that allocates arrays; one that only other loops call.
+compiled, allocating, subroutine = _compiled(_nrt=False), _compiled(), _compiled(_nrt=False, no_cpython_wrapper=True)
 
 
 def inlined(function: Any) -> Any:
@@ -110,9 +116,10 @@ def _types(words: str) -> tuple[types.Type, ...]:
 
 
 def compile_known(module: str) -> None:
-    """Compile the loops of a module, and of those that it imports, whose signatures are known."""
+    """Compile the loops of a module, and of those that it imports, whose signatures are known: last ones first."""
     import_module(module)
-    for loop, signature in _known:
+    # Who calls them compiles the first ones meanwhile: they meet in the middle.
+    for loop, signature in reversed(_known):
         loop.compile(signature)
 
 

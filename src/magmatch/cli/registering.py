@@ -19,7 +19,7 @@ def with_help() -> None:
     """If loops must be compiled first, let another process compile those of the search while this one makes maps."""
     from magmatch.compiled import FIRST_USE
 
-    FIRST_USE.next_module = "magmatch.registration.search.invariant_search"
+    FIRST_USE.next_module = "magmatch.registration.register"
 
 
 def with_wait(result: "RegistrationResult", loaded: float) -> "RegistrationResult":

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.compiled import compiled
+from magmatch.compiled import compiled_ahead
 from magmatch.data.survey import Survey
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.estimation.cubes import even_choice
@@ -57,7 +57,7 @@ def walk_of(survey: Survey, length: float) -> Walk:
     local = survey.transformed(T_survey_walk.inv())
     side = BIN_LENGTH * length
     while True:
-        rows = bin_along_path(np.ascontiguousarray(local.positions), side)
+        rows = bin_along_path(local.positions, side)
         if rows[-1] < MAX_WEIGHED:
             break
         side *= COARSER
@@ -65,20 +65,25 @@ def walk_of(survey: Survey, length: float) -> Walk:
     return Walk(T_survey_walk, positions, field, survey.pose_sd)
 
 
-@compiled
-def bin_along_path(positions, side):  # type: ignore[no-untyped-def]
+def bin_along_path(positions: Points, side: float) -> Indices:
     """Bin of each sample: a new one begins at a sample that is farther than ``side`` from the bin's first."""
     rows = np.zeros(len(positions), dtype=np.int64)
+    _bin(np.ascontiguousarray(positions), side, rows)
+    return rows
+
+
+@compiled_ahead("f8[:,::1], f8, i8[::1]")
+def _bin(positions, side, rows):  # type: ignore[no-untyped-def]
     first, row = 0, 0
     for n in range(1, len(positions)):
         d2 = 0.0
         for c in range(3):
-            d2 += (positions[n, c] - positions[first, c]) ** 2
+            step = positions[n, c] - positions[first, c]
+            d2 += step * step
         if d2 > side * side:
             first = n
             row += 1
         rows[n] = row
-    return rows
 
 
 def bin_means(values: np.ndarray, rows: Indices) -> np.ndarray:
@@ -112,10 +117,10 @@ def choose_search(target: Survey, length: float) -> Literal["pairs", "invariants
 
 def is_resolved(survey: Survey, length: float) -> bool:
     """Whether a survey's path can be weighed in bins that are no longer than a correlation length (m)."""
-    return bool(bin_along_path(np.ascontiguousarray(survey.positions), length)[-1] < MAX_WEIGHED)
+    return bool(bin_along_path(survey.positions, length)[-1] < MAX_WEIGHED)
 
 
 def is_short(survey: Survey, length: float) -> bool:
     """Whether a survey's path can be weighed as it is, at twice the resolution that a correlation length (m) asks."""
-    rows = bin_along_path(np.ascontiguousarray(survey.positions), 2 * BIN_LENGTH * length)
+    rows = bin_along_path(survey.positions, 2 * BIN_LENGTH * length)
     return bool(rows[-1] < MAX_WEIGHED)

@@ -8,14 +8,14 @@ Davenport, P. (1968): A vector approach to the algebra of rotations with applica
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.typing import Matrix, Scalars, Tensors, Vectors
 
 # Sweeps of Jacobi's method over all pairs of axes, at most: each squares what is left off the diagonal.
 SWEEPS = 8
 
 
-@compiled
+@allocating
 def best_rotations(base: tuple[Vectors, ...], target: tuple[Vectors, ...], weights: tuple[Scalars, ...]) -> Tensors:
     """Rotations R (n, 3, 3) that maximise the weighted sum of ``a . R b`` over the directions a, b of some vectors.
 

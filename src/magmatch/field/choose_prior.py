@@ -53,7 +53,7 @@ def choose_prior(
     box = Box.declared(config.domain, T_domain_model)
     length = typical_length(samples.positions, samples.field)
     folds = divide(samples.positions, length)
-    names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds))]
+    names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds, length))]
     # Chosen once, from all samples: a part would not show what a prior cannot afford to represent on the whole.
     known = choose_all_numbers(names, samples, config, box)
     taken, compared = PriorCandidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
@@ -76,9 +76,9 @@ def choose_prior(
     return config.model_copy(update={"prior": taken.name, "comparison": errors}), replace(h, **given_numbers(config))
 
 
-def _is_possible(name: str, samples: Survey, folds: Folds) -> bool:
+def _is_possible(name: str, samples: Survey, folds: Folds, length: float) -> bool:
     """Whether a prior can be compared and afforded."""
-    if folds.left_out and DENSE_PRIORS[name].is_affordable(samples.positions, samples.field):
+    if folds.left_out and DENSE_PRIORS[name].is_affordable(samples.positions, length):
         return True
     log.info("prior %s is not compared: too few samples to leave any out, or too wide a survey", name)
     return False

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.localization.bins import Bin
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, ERROR, GAIN, MISFIT, N_READ, PLACE, Model, N, correct, predict, settle
@@ -78,7 +78,7 @@ def follow(
     _follow(bank, steps, moves_first, known.ground, model, fit)
 
 
-@compiled
+@allocating
 def _follow(bank, steps, moves_first, ground, model, fit):  # type: ignore[no-untyped-def]
     out, H, PH, S, r, dx = (
         np.zeros(13),

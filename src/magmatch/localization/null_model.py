@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT
@@ -78,7 +78,7 @@ def _constant_elsewhere(known: KnownMap, config: LocalizerConfig) -> tuple[Vecto
     return np.array([0.0, 0.0, vertical]), np.array([level, level, 0.0]) + known.field_sd**2
 
 
-@compiled
+@allocating
 def _follow(nulls, steps, model, fit):  # type: ignore[no-untyped-def]
     PH, S, RM = np.zeros((N, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     b, r, dx = np.zeros(3), np.zeros(3), np.zeros(N)

@@ -7,9 +7,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.estimation.posterior import Kind, log_odds
 from magmatch.localization.known_map import KnownMap
+from magmatch.localization.measurement import STEP
 from magmatch.localization.state import BIAS, Model, predict
 from magmatch.typing import COVARIANCE, POSE, VECTOR, Covariance6, Matrix, Scalars, Vector3
 
@@ -61,22 +62,24 @@ def evidence(
 
     ``fit`` (n, k) and ``null`` (n, c) are FIT of hypotheses and of unrelated fields at the same steps.
     """
-    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(steps, fit, null, penalty, *known.log_factors)
+    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(
+        steps, np.ascontiguousarray(fit), null, penalty, *known.log_factors
+    )
     return found
 
 
-@compiled
+@allocating
 def _weigh_all(steps, fit, null, penalty, log_factors, log_priors):  # type: ignore[no-untyped-def]
     n_hypotheses, inverse = fit.shape[1], np.exp(-log_factors)
     gained, factor, misfit = np.zeros(n_hypotheses), np.zeros(n_hypotheses), np.zeros(n_hypotheses)
     for k in range(n_hypotheses):
-        own, own_det, paid, n = 0.0, 0.0, 0.0, 0
+        own, own_det, paid, n = 0.0, 0.0, 0.0, 0.0
         for m in range(len(fit)):
             one, u = fit[m, k], steps[m].u
             if one.is_seen and one.is_known:
                 own += one.chi2
                 own_det += one.half_log_det
-                n += 3
+                n += 3.0
             elif one.is_seen and k >= penalty.n_free:
                 paid += penalty.per_metre * np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
         unrelated = -np.inf
@@ -93,7 +96,7 @@ def _weigh_all(steps, fit, null, penalty, log_factors, log_priors):  # type: ign
         gained[k] = likelihood - own_det - unrelated - min(paid, penalty.most)
         factor[k] = np.exp(log_factors[best])
         # The covariance's factor is averaged over: what it explains is not to count again.
-        misfit[k] = np.sqrt(own / factor[k] / max(n, 1))
+        misfit[k] = np.sqrt(own / factor[k] / max(n, 1.0))
     return gained, factor, misfit
 
 
@@ -214,15 +217,15 @@ def stated(
     one: np.ndarray, last: np.ndarray, T_odom_body: Matrix, known: KnownMap, model: Model, factor: float
 ) -> np.ndarray:
     """State a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
-    said = np.zeros(1, STATED)
-    _state(one, last, T_odom_body, known.frame, _factor(known, factor), model, said)
+    said, moved = np.zeros(1, STATED), np.zeros(1, STEP)
+    _state(one, last, moved, T_odom_body, known.frame, _factor(known, factor), model, said)
     return said
 
 
 @compiled
-def _state(bank, last, T, frame, factor, model, said):  # type: ignore[no-untyped-def]
+def _state(bank, last, moved, T, frame, factor, model, said):  # type: ignore[no-untyped-def]
     h, step, out, T_map_model = bank[0], last[0], said[0], frame.T_map_model
-    dR, u = np.zeros((3, 3)), np.zeros(3)
+    dR, u = moved[0].dR, moved[0].u
     for a in range(3):
         for k in range(3):
             u[a] += step.R[k, a] * (T[k, 3] - step.p[k])

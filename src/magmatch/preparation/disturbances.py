@@ -3,7 +3,7 @@
 
 import numpy as np
 from scipy.ndimage import label, median_filter
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from magmatch.data.sensor_axes import FEW, at_limit
 from magmatch.estimation.gauss_newton import student_weights
@@ -82,7 +82,7 @@ def _ordinary_sd(residual: Vectors, gradient: Tensors) -> Scalars:
     if len(residual) < FEW * N_GROUPS:
         return np.full(len(residual), robust_sd(residual))
     steepness = np.linalg.norm(gradient, axis=(1, 2))
-    size = np.linalg.norm(residual, axis=1) / np.sqrt(chi2.median(3))
+    size = np.linalg.norm(residual, axis=1) / np.sqrt(chdtri(3, 0.5))
     # Medians of groups and over groups, so that no one place where something moved decides.
     groups = np.array_split(np.argsort(steepness, kind="stable"), N_GROUPS)
     sd, steep = (np.array([np.median(values[group]) for group in groups]) for values in (size, steepness))

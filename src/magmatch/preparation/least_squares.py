@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
+from scipy.special import fdtrc
 
 from magmatch.typing import Matrix, Scalars
 
@@ -123,7 +123,7 @@ def _by_block(
         sd[name] = np.sqrt(np.diag(own)) * scale[rows]
         is_open[name] = np.diag(own) > 1 / (1 + LEAST_INFORMATION)
         square = float(z[rows] @ np.linalg.solve(own, z[rows])) / len(rows)
-        p_value[name] = float(scipy.stats.f.sf(square, len(rows), N_STRETCHES - len(rows)))
+        p_value[name] = float(fdtrc(len(rows), N_STRETCHES - len(rows), square))
     return Solution(estimate, sd, p_value, is_open, residual, free, robust_sd(free))
 
 

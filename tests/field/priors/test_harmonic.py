@@ -86,8 +86,8 @@ def test_what_is_affordable_is_what_a_layer_takes_that_stands_as_near_as_the_fie
     assert needed[1.0] < 0.5 * needed[0.5]
     for cap, expected in ((1.2 * needed[0.5], True), (1.2 * needed[1.0], True), (0.8 * needed[1.0], False)):
         prior = HarmonicPrior(max_sources=int(cap))
-        assert prior.is_affordable(points, field) is expected
-        assert prior.is_affordable(10 * points, field) is expected
+        assert prior.is_affordable(points, length) is expected
+        assert prior.is_affordable(10 * points, 10 * length) is expected
 
 
 def test_a_declared_box_is_kept_free_of_charges():

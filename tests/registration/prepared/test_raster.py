@@ -2,10 +2,11 @@
 """Trilinear look-ups against SciPy's and against finite differences, on values that follow no law."""
 
 import numpy as np
+from numba import typeof
 from scipy.interpolate import RegularGridInterpolator
 
 from hand_made import box, prepared_map, some_field
-from magmatch.registration.prepared.raster import Raster, find_cell, interpolate_field
+from magmatch.registration.prepared.raster import RASTER, Raster, find_cell, interpolate_field
 
 ORIGIN, SPACING, SHAPE = np.array([0.3, -0.2, 0.1]), 0.25, (5, 4, 6)
 RNG = np.random.default_rng(0)
@@ -64,5 +65,13 @@ def test_a_search_is_told_the_same_field_as_who_asks_for_the_gradient_too():
     raster = raster_of()
     field, sd, _, _ = raster.lookup(points_inside())
     for k, point in enumerate(points_inside()):
-        found = interpolate_field(raster.values, *find_cell(raster.values, ORIGIN, SPACING, *point))
+        found = interpolate_field.py_func(raster.values, *find_cell.py_func(raster.values, ORIGIN, SPACING, *point))
         np.testing.assert_allclose(found, [*field[k], sd[k]], atol=1e-12)
+
+
+def test_a_raster_that_cannot_be_written_as_of_a_file_is_no_other_type_to_loops():
+    parts = [np.zeros(3), np.arange(8), np.zeros((8, 3)), np.ones(8)]
+    for part in parts:
+        part.flags.writeable = False
+    raster = Raster.knowing(parts[0], 0.5, (2, 2, 2), *parts[1:])
+    assert typeof(raster) == RASTER

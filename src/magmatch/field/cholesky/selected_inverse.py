@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.field.cholesky.blas import (
     LEFT,
     LOWER,
@@ -60,7 +60,7 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
     return out
 
 
-@compiled
+@allocating
 def _front_inverse(  # type: ignore[no-untyped-def]
     n_own, n_below, L_singles, L_doubles, X_singles, X_doubles, Z22_singles, Z22_doubles,
     scratch_singles, scratch_doubles, Z_singles, Z_doubles,

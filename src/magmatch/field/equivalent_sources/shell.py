@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.field.inducing.kernels import N_ROWS
 from magmatch.field.spline.spline_basis import GRADIENT_INDEX, SECOND_INDEX, derivative_table, values_of
 from magmatch.field.values import FieldValues
@@ -91,17 +91,19 @@ class SourceShell:
         return values_of(out, constant, order)
 
 
-def lay_shell(region: Points, distance: float, spacing: float, max_sources: int) -> SourceShell:
+def lay_shell(
+    region: Points, distance: float, spacing: float, max_sources: int, farthest: float = np.inf
+) -> SourceShell:
     """Charges evenly on the surface at a distance from the nearest point of a region.
 
-    Where they would be too many, distance and spacing (m) are widened alike.
+    Where they would be too many, distance and spacing (m) are widened alike, but no more once they are ``farthest``.
     """
     ratio = float(np.clip(spacing / distance, *_SPACING_RATIOS))
     tree = cKDTree(region)
     h = _affordable(ratio * distance, np.ptp(region, axis=0), ratio)
     while True:
         sources = _on_surface(region, tree, h / ratio, h)
-        if 0 < len(sources) <= max_sources:
+        if 0 < len(sources) <= max_sources or h / ratio > farthest:
             break
         h *= max(1.02, (len(sources) / max_sources) ** 0.5)
     some = np.ascontiguousarray(region[:: -(-len(region) // _N_SCALED)])
@@ -116,7 +118,7 @@ def charge_design(points: Points, sources: Points, order: int) -> np.ndarray:
     return out
 
 
-@compiled
+@allocating
 def _fill(points: np.ndarray, sources: np.ndarray, order: int, out: np.ndarray) -> None:
     row = np.zeros(out.shape[0])
     for i in range(len(points)):
@@ -163,7 +165,7 @@ def charge_field(points: Points, sources: Points, charges: Scalars, order: int) 
     return out
 
 
-@compiled
+@allocating
 def _sum(points: np.ndarray, sources: np.ndarray, charges: np.ndarray, order: int, out: np.ndarray) -> None:
     row = np.zeros(out.shape[1])
     for i in range(len(points)):
@@ -214,7 +216,7 @@ def _near_surface(region: Points, distance: float, step: float) -> Points:
     return np.asarray(origin + step * np.argwhere(np.abs(away - distance) <= 1.4 * step))
 
 
-@compiled
+@allocating
 def _first_of(pairs: np.ndarray, n: int) -> np.ndarray:
     """Points of which no earlier one that stays is a close neighbour; pairs in ascending order."""
     stays = np.ones(n, dtype=np.bool_)

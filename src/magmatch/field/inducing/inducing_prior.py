@@ -15,7 +15,6 @@ from magmatch.field.inducing.kernels import Kernel, Term
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, choose_samples, fit_at, fit_lengthscale
 from magmatch.field.linear_model import check_samples
 from magmatch.field.spline.spline_prior import CONSTANT_SD
-from magmatch.field.variogram import typical_length
 from magmatch.typing import Points, Vectors
 
 log = logging.getLogger(__name__)
@@ -75,9 +74,8 @@ class InducingPrior:
             fit = fit_at(self._unit_kernel(affordable), points[rows], field[rows])
         return self._resolved(points, fit)
 
-    def is_affordable(self, points: Points, field: Vectors) -> bool:
-        """Whether the inducing points allowed follow the field's typical length."""
-        length = typical_length(points, field)
+    def is_affordable(self, points: Points, length: float) -> bool:
+        """Whether the inducing points allowed follow a field's typical length (m)."""
         if len(points) > MOST_SAMPLES or length == 0:
             return False
         wished = SPACING_RATIO * length

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.field.cholesky.cells import HALF_OFFSET, CellGrid
 from magmatch.field.spline.spline_basis import FIRST, derivative_rows, spline_values
 from magmatch.field.spline.spline_model import SplineInformation
@@ -134,7 +134,7 @@ def _grown(array: np.ndarray, n_rows: int) -> np.ndarray:
     return grown
 
 
-@compiled
+@allocating
 def _absorb(number, t, samples, first, seen, slot, kept, n_kept, sums, n_sums):  # type: ignore[no-untyped-def]
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
     for i in range(len(number)):

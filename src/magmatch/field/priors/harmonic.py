@@ -77,12 +77,11 @@ class HarmonicPrior:
         h = Hyperparameters(fit.scale, fit.signal_sd, fit.noise_sd, SPACING_RATIO * fit.scale)
         return h if self.box is not None else self._with_sources(points, field, h)
 
-    def is_affordable(self, points: Points, field: Vectors) -> bool:
-        """Whether the charges allowed can stand as near as the field's typical length asks for."""
-        length = typical_length(points, field)
+    def is_affordable(self, points: Points, length: float) -> bool:
+        """Whether the charges allowed can stand as near as a field's typical length (m) asks for."""
         if len(points) > MOST_SAMPLES or length == 0:
             return False
-        shell = lay_shell(points, length / 2, SPACING_RATIO * length / 2, self.max_sources)
+        shell = lay_shell(points, length / 2, SPACING_RATIO * length / 2, self.max_sources, farthest=length)
         return shell.distance <= length
 
     def build(self, points: Points, field: Vectors, hyperparameters: Hyperparameters) -> InducingModel:

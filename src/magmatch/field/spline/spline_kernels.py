@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled, compiled_ahead
 from magmatch.field.cholesky.cells import CellGrid
 from magmatch.field.spline.spline_basis import FIRST, derivative_rows, spline_values
 from magmatch.typing import Matrix, Points
@@ -46,7 +46,7 @@ def add_gram(  # type: ignore[no-untyped-def]
                 gram[a, b] = 0.0
 
 
-@compiled
+@allocating
 def add_right_hand_sides(cell, t, fields, cell_nodes, first_derivatives, out):  # type: ignore[no-untyped-def]
     """Add ``Phi^T b`` of samples for several sets of field vectors, (n, 3, k), to the splines' rows of out."""
     vx, vy, vz, rows = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 64))
@@ -73,7 +73,10 @@ def right_hand_sides(cells: CellGrid, points: Points, fields: np.ndarray) -> Mat
     return out
 
 
-@compiled
+@compiled_ahead(
+    "i8[::1], f8[:,::1], i4[:,::1], f8[::1], i8[:,::1], f8, f8[:,::1]",
+    "f8[:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1]",
+)
 def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out, vx, vy, vz, over_z, over_y):  # type: ignore[no-untyped-def]
     """Minus the listed derivatives of the potential at points; 0 where a point lies in no active cell."""
     last = len(derivatives) - 1
@@ -108,23 +111,23 @@ def evaluate_points(cell, t, cell_nodes, weights, derivatives, spacing, out, vx,
             out[i, r] = -total / unit
 
 
-@compiled
-def linear_rows(cell, t, derivatives, spacing, rows):  # type: ignore[no-untyped-def]
+@compiled_ahead("f8[:,::1], i8[:,::1], f8, f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1]")
+def linear_rows(t, derivatives, spacing, rows, vx, vy, vz):  # type: ignore[no-untyped-def]
     """Rows of the linear model at points in cells: (n, r, 67), the constant of the field's components last."""
-    vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
-    for i in range(len(cell)):
+    for i in range(len(t)):
         spline_values(t[i, 0], vx)
         spline_values(t[i, 1], vy)
         spline_values(t[i, 2], vz)
-        derivative_rows(vx, vy, vz, derivatives, spacing, rows[i, :, :64])
+        derivative_rows(vx, vy, vz, derivatives, spacing, rows[i])
         for c in range(3):
             rows[i, c, 64 + c] = 1.0
 
 
-@compiled
+@allocating
 def point_covariances(order, cell, t, cell_nodes, derivatives, spacing, half_offset, stencil, border, corner, out):  # type: ignore[no-untyped-def]
     """Covariance of the listed derivatives (the first three with the constant added), points sorted by cell."""
     n_rows = derivatives.shape[0]
+    vx, vy, vz = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((4, 4))
     block, first = np.zeros((67, 67)), 0
     block[64:, 64:] = corner
     while first < len(order):
@@ -142,7 +145,7 @@ def point_covariances(order, cell, t, cell_nodes, derivatives, spacing, half_off
                     block[64 + c, a] = border[p, c]
             points = order[first:last]
             rows = np.zeros((last - first, n_rows, 67))
-            linear_rows(cell[points], t[points], derivatives, spacing, rows)
+            linear_rows(t[points], derivatives, spacing, rows, vx, vy, vz)
             half = np.dot(rows.reshape(-1, 67), block).reshape(last - first, n_rows, 67)
             for k in range(last - first):
                 for r in range(n_rows):

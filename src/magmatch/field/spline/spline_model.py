@@ -225,6 +225,6 @@ class SplinePosterior:
     def _rows(self, cell: np.ndarray, t: Points, derivatives: np.ndarray) -> np.ndarray:
         """Rows of the linear model for `_unknowns`, (n, r, 67): the constant alone where there is no cell."""
         rows = np.zeros((len(cell), len(derivatives), 67))
-        linear_rows(cell, t, derivatives, self.cells.spacing, rows)
+        linear_rows(t, derivatives, self.cells.spacing, rows, *np.zeros((3, 4, 4)))
         rows[cell < 0, :, :64] = 0.0
         return rows

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magmatch.compiled import compiled
+from magmatch.compiled import allocating, compiled
 from magmatch.localization.start.grid_score import OUTSIDE, UNKNOWN
 from magmatch.registration.prepared.raster import find_cell, interpolate
 from magmatch.typing import ROTATION, VECTOR
@@ -41,7 +41,7 @@ class Workspace(NamedTuple):
     e: np.ndarray
 
 
-@compiled
+@allocating
 def refine_all(x, stretch, ground, schedule, priors, cost):  # type: ignore[no-untyped-def]
     """Gauss-Newton on rows of x: place (3), heading, scale, bias (3); their costs, UNKNOWN outside the map."""
     room = Workspace(

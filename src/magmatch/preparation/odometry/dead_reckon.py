@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydantic import Field
-from scipy.signal import butter, find_peaks, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
@@ -198,6 +197,9 @@ def find_steps(vertical: Scalars, rate: float, scale: float = 1.0) -> Steps:
 
     Length ``scale K (a_max - a_min)^(1/4)`` of the low-passed acceleration within the step (Weinberg 2002).
     """
+    # Imported here, since the import takes longer than localising a log that has poses.
+    from scipy.signal import butter, find_peaks, sosfiltfilt
+
     filter_ = butter(2, STEP_FREQUENCY, fs=rate, output="sos")
     smooth = sosfiltfilt(filter_, vertical - np.median(vertical)) if len(vertical) > 20 else np.zeros(len(vertical))
     apart = max(1, round(STEP_INTERVAL * rate))

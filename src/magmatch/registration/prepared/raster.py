@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from magmatch.compiled import compiled, compiled_ahead, record
+from magmatch.compiled import compiled_ahead, record, subroutine
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.estimation.limits import MAX_RASTER, MAX_REFINED
 from magmatch.estimation.pose_prior import RARE
@@ -33,7 +33,8 @@ class Raster(NamedTuple):
         values = np.zeros((int(np.prod(shape)), 4))
         values[:, 3] = -1.0
         values[rows, :3], values[rows, 3] = field, sd
-        return cls(origin, spacing, values.reshape(*shape, 4))
+        # A copy: loops are compiled anew for an array that cannot be written, as those of a file.
+        return cls(np.array(origin), spacing, values.reshape(*shape, 4))
 
     @property
     def field(self) -> np.ndarray:
@@ -98,7 +99,7 @@ def _rasterize(field_map: FieldMap, samples: Points, spacing: float, draws: Sequ
     return Raster.knowing(grid.T_map_grid.translation, spacing, grid.shape, rows, mean, sd)
 
 
-@compiled
+@subroutine
 def find_cell(values, origin, spacing, x, y, z):  # type: ignore[no-untyped-def]
     """Lowest corner (-1 where a corner is missing or unknown) and position in the cell, 0 to 1."""
     u, v, w = (x - origin[0]) / spacing, (y - origin[1]) / spacing, (z - origin[2]) / spacing
@@ -112,7 +113,7 @@ def find_cell(values, origin, spacing, x, y, z):  # type: ignore[no-untyped-def]
     return i, j, k, u - i, v - j, w - k
 
 
-@compiled
+@subroutine
 def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
     """Trilinear field and sd in a cell."""
     bx, by, bz, sd = 0.0, 0.0, 0.0, 0.0
@@ -129,7 +130,7 @@ def interpolate_field(values, i, j, k, u, v, w):  # type: ignore[no-untyped-def]
     return bx, by, bz, sd
 
 
-@compiled
+@subroutine
 def interpolate(values, spacing, i, j, k, u, v, w, out):  # type: ignore[no-untyped-def]
     """Trilinear field (out[:3]), sd (out[3]) and gradient (out[4:13], row-major dB_a/dx_b) in a cell."""
     for d in range(4):

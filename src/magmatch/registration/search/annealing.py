@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magmatch.compiled import compiled, compiled_ahead, record
+from magmatch.compiled import compiled_ahead, record, subroutine
 from magmatch.estimation.candidate_poses import CANDIDATE_POSES, CandidatePoses
 from magmatch.field.cholesky.blas import PLAIN, address_of, gemm, gesv
 from magmatch.registration.prepared.prepared_map import PreparedMap
@@ -82,7 +82,7 @@ def _anneal(poses, rows, evidence, raster, schedule, eps, damping, scores, room)
         )
 
 
-@compiled
+@subroutine
 def _step(h, R, pb, dx, most_turn, most_shift, turns):  # type: ignore[no-untyped-def]
     """Apply a bounded step to a pose; its rotation by that of a rotation vector (Rodrigues)."""
     turn2, shift2 = 0.0, 0.0
@@ -116,7 +116,7 @@ def _step(h, R, pb, dx, most_turn, most_shift, turns):  # type: ignore[no-untype
             R[h, a, b] = turns[3, a, b]
 
 
-@compiled
+@subroutine
 def _normal_equations(h, poses, rows, evidence, raster, eps, turn, shift, room):  # type: ignore[no-untyped-def]  # noqa: PLR0912
     """Fill in the weighted normal equations of the left perturbation (dth, dp) about the anchor; gives the score."""
     (R, pb, anchor, pt), (origin, spacing, values) = poses, raster

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.compiled import compiled, compiled_ahead
+from magmatch.compiled import allocating, compiled, subroutine
 from magmatch.estimation.limits import LEAF
 from magmatch.typing import Indices, Matrix
 
@@ -55,7 +55,7 @@ class NeighbourTree:
         return np.asarray(self.rows[found], dtype=np.int64), distance2
 
 
-@compiled
+@subroutine
 def _halve(points, rows, axis, first, middle, last):  # type: ignore[no-untyped-def]
     """Quickselect: what precedes the middle is less along an axis; of equal coordinates the first row is the less."""
     while first < last:
@@ -75,7 +75,7 @@ def _halve(points, rows, axis, first, middle, last):  # type: ignore[no-untyped-
         first, last = first if middle <= j else i, last if middle >= i else j
 
 
-@compiled_ahead("f4[:,::1], i4[::1], i4[::1], f4[::1], i8[:,::1]")
+@compiled
 def _divide(points, rows, axes, values, bounds):  # type: ignore[no-untyped-def]
     """Bring points and rows into the order of leaves; ``bounds`` has a row for each node, that of the root set."""
     for node in range(len(axes)):
@@ -93,7 +93,7 @@ def _divide(points, rows, axes, values, bounds):  # type: ignore[no-untyped-def]
         bounds[2 * node + 2, 0], bounds[2 * node + 2, 1] = middle, high
 
 
-@compiled
+@allocating
 def _query(points, axes, values, targets, n_leaves, found, distance2):  # type: ignore[no-untyped-def]
     n, d = points.shape
     k, n_inner, depth = found.shape[1], len(axes), 1

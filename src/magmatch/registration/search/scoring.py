@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magmatch.compiled import compiled, compiled_ahead, record
+from magmatch.compiled import compiled_ahead, record, subroutine
 from magmatch.estimation.candidate_poses import CANDIDATE_POSES, CandidatePoses
 from magmatch.estimation.pose_prior import FAR2
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, MEDIAN_CHI2_5, PreparedMap
@@ -79,14 +79,14 @@ def score_poses(
     return out
 
 
-@compiled
+@subroutine
 def mixture_ratio(r2, V, b2, V0, outlier_share):  # type: ignore[no-untyped-def]
     """'Mostly explained by the base' over 'unrelated field' for one sample."""
     s = V0 / V
     return outlier_share + (1 - outlier_share) * s * np.sqrt(s) * np.exp(0.5 * (b2 / V0 - r2 / V))
 
 
-@compiled
+@subroutine
 def expected_variance(evidence, sd, d2, sd_rotation, sd_translation):  # type: ignore[no-untyped-def]
     """Residual variance of a sample at squared distance d2 from the anchor of an inaccurate pose."""
     V0, noise, field_rms, gradient_rms = evidence[3:]

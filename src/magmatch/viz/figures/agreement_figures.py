@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtri
 
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
@@ -49,7 +49,7 @@ class Comparison:
     def typical(self) -> float | None:
         """Robust root mean square, from the median, as a result's ``residual`` is; None where nothing overlaps."""
         values = self.normalised[self.is_known]
-        return float(np.median(values) / np.sqrt(chi2.median(3) / 3)) if len(values) else None
+        return float(np.median(values) / np.sqrt(chdtri(3, 0.5) / 3)) if len(values) else None
 
     @property
     def rms(self) -> float | None:
@@ -176,7 +176,7 @@ def histogram_figure(compared: Comparison) -> draw.Figure:
     edges = np.linspace(0, TOP_RESIDUAL, 33)
     share = np.histogram(values, edges)[0] / len(values)
     # The squared norm of three standard normal components is chi-square with three degrees of freedom.
-    expected = np.diff(chi2.cdf(3 * edges**2, 3))
+    expected = np.diff(chdtr(3, 3 * edges**2))
     middle = (edges[1:] + edges[:-1]) / 2
     go = draw.require_plotly()
     bars = go.Bar(
@@ -193,7 +193,7 @@ def histogram_figure(compared: Comparison) -> draw.Figure:
     return draw.described(
         figure,
         f"Histogram of normalised residuals: median {np.median(values):.2f}, where "
-        f"{np.sqrt(chi2.median(3) / 3):.2f} is expected if model and noise explain all.",
+        f"{np.sqrt(chdtri(3, 0.5) / 3):.2f} is expected if model and noise explain all.",
     )
 
 

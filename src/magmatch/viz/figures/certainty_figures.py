@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from magmatch.data.order import has_order
 from magmatch.data.survey import Survey
@@ -88,7 +88,7 @@ def direction_words(v: Vector3) -> str:
 
 def _ellipsoid(covariance: Matrix) -> Ellipsoid:
     power, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
-    scale = float(np.sqrt(chi2.ppf(LEVEL, 3)))
+    scale = float(np.sqrt(chdtri(3, 1 - LEVEL)))
     return Ellipsoid(scale * np.sqrt(np.maximum(power[::-1], 0)), vectors[:, ::-1].T)
 
 

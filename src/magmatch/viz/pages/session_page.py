@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from magmatch.geometry import transform_points
 from magmatch.number_text import told
@@ -132,7 +132,7 @@ def _ellipses(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
     nodes = np.concatenate([session.paths[k].nodes for k in logs])
     nodes = nodes[draw.thinned(len(nodes), MAX_ELLIPSES)]
     angle = np.linspace(0, 2 * np.pi, 33)
-    circle = np.sqrt(chi2.ppf(LEVEL, 2)) * np.vstack([np.cos(angle), np.sin(angle)])
+    circle = np.sqrt(chdtri(2, 1 - LEVEL)) * np.vstack([np.cos(angle), np.sin(angle)])
     rows = []
     for node, C in zip(nodes, session.covariances_of_place(nodes), strict=True):
         values, directions = np.linalg.eigh(C[np.ix_(axes, axes)])
