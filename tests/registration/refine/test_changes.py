@@ -15,6 +15,7 @@ from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine import changes
 from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinementConfig, refine
+from magmatch.registration.weigh import change_search
 from magmatch.registration.weigh.cells import agreeing_cells, compare_cells, null_models_of
 from magmatch.registration.weigh.change_search import ChangeSearch
 from magmatch.registration.weigh.covariance import drift_covariance, joint_covariance
@@ -138,6 +139,27 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit_and_
     seen = compare_cells(base, target, T_model, target.sample_field, nulls.target)
     assert len(agreeing_cells(seen, nulls.target)[0]) / len(seen.rows) < best.unchanged < 1.0
     assert distance(best.pose.T_base_target, T_model, target) < 0.003
+
+
+def test_choices_of_cells_that_take_turns_end_with_one_of_them(moved, ordinary, nulls, monkeypatch):
+    """Each leads to a pose 5 cm from the other's."""
+    base, target, T_model, _ = moved
+    agreement, n_chosen = ChangeSearch._agreement, 0
+
+    def choose(self, pose, *shares):
+        nonlocal n_chosen
+        n_chosen += 1
+        return agreement(self, pose, *shares)
+
+    def lead(*args):
+        found = refine_beside_changes(*args)
+        shift = RigidTransform.from_translation([0.0, 0.0, 0.05 * (n_chosen % 2)])
+        return replace(found, pose=replace(found.pose, T_base_target=T_model * shift))
+
+    monkeypatch.setattr(ChangeSearch, "_agreement", choose)
+    monkeypatch.setattr(change_search, "refine_beside_changes", lead)
+    start = replace(ordinary, T_base_target=T_model)
+    assert ChangeSearch(base, target, nulls, FLAT, CONFIG, 0)._follow(start) is not None
 
 
 @pytest.fixture(scope="module")

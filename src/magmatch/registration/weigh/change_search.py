@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.limits import MOST_STEPS
+from magmatch.estimation.limits import COARSE_STEPS, MOST_STEPS
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import in_order
 from magmatch.progress import tell
@@ -77,10 +77,14 @@ class ChangeSearch:
         return best
 
     def _follow(self, pose: RefinedPose, shares: Sequence[float] = UNCHANGED_SHARES) -> PoseEvidence | None:
-        """Refine a pose on the cells that agree, then on those that agree with the result, until it converges."""
+        """Refine a pose on the cells that agree, then on those that agree with the result, until it converges.
+
+        At last the cells stay: two choices may take turns for ever, each that of the other's pose.
+        """
         base, target, nulls, prior = self.base, self.target, self.nulls, self.prior
-        for _ in range(MOST_STEPS):
-            rows, _, price, n_cells = self._agreement(pose, shares)
+        for n_steps in range(MOST_STEPS):
+            if n_steps < COARSE_STEPS:
+                rows, _, price, n_cells = self._agreement(pose, shares)
             agrees, rng = nulls.target.cells.holds(rows), np.random.default_rng(self.seed)
             found = refine_beside_changes(base, target, pose, agrees, prior, self.config, rng)
             if found is None:
