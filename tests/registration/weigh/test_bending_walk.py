@@ -2,6 +2,7 @@
 """A walk that bends, in a map that passed each place once, and in one that shows how walks drift there."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -59,6 +60,25 @@ def test_the_right_pose_has_evidence_and_one_beside_it_has_none(drifting):
     models, bending = weigher(index, other.target)
     wrong = bending.at_each_drift([models.T_base_model.inv() * pair.T_base_target * models.T_target_model])
     assert all(one.log_evidence < 0 for one in wrong)
+
+
+def test_evidence_is_averaged_over_the_covariances_factor(drifting):
+    """Weighed at each factor by itself, where residuals are smaller than expected."""
+    pair, index = drifting
+    models, bending = weigher(index, pair.target)
+    truth = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
+    noise, drift, errors = bending.null.noise, bending.drifts[0][2], bending._map_errors(truth)
+
+    def evidence(factor, **changed):
+        null = Mock(noise=replace(noise, nugget_sd=noise.nugget_sd * np.sqrt(factor), **changed))
+        null.log_likelihood.return_value = 0.0
+        larger = drift._replace(rate=drift.rate * np.sqrt(factor))
+        return replace(bending, null=null, turned_null=null)._fit(truth, larger, factor * errors).log_evidence
+
+    log_factors, log_weights = (x[::8] for x in noise.log_factors())
+    at_each = [evidence(np.exp(one), spread=1e-9) for one in log_factors]
+    averaged = np.logaddexp.reduce(at_each + log_weights) - np.logaddexp.reduce(log_weights)
+    assert evidence(1.0) == pytest.approx(averaged, abs=2.0)
 
 
 def test_residuals_without_bending_have_the_covariance_of_the_map_and_a_bin(drifting):

@@ -2,6 +2,7 @@
 """What speaks for a walk's pose, term by term, against dense normal densities."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -71,7 +72,7 @@ def test_evidence_is_that_of_dense_normal_densities_and_laplaces_approximation(b
     chi2 = r @ np.linalg.solve(C, r)
     factor, log_likelihood = NOISE.factor(chi2, 3 * n - 6)
     null = UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
-    price = 0.5 * np.linalg.slogdet(2 * np.pi * found.covariance)[1] - np.log(20.0 * 8 * np.pi**2)
+    price = 0.5 * np.linalg.slogdet(2 * np.pi * found.covariance / factor)[1] - np.log(20.0 * 8 * np.pi**2)
     expected = log_likelihood - 0.5 * np.linalg.slogdet(C)[1] - null + price
     # The last steps see the map's gradient through its raster's cells no more; its field they see exactly.
     assert found.log_evidence == pytest.approx(expected, abs=0.3)
@@ -157,6 +158,27 @@ def test_no_walk_has_more_evidence_than_is_attainable(base, walk):
     exact = FIELD.evaluate(walk.positions).field
     calm = weighed(base, replace(walk, field=exact + 0.2 * (walk.field - exact)))
     assert calm.log_evidence <= calm.attainable
+
+
+@pytest.mark.parametrize("size", [0.3, 1.0, 2.0])
+def test_evidence_is_averaged_over_the_covariances_factor(base, walk, size):
+    """Weighed at each factor by itself, however large the residuals are, to what the last steps leave."""
+    field = FIELD.evaluate(walk.positions).field
+    walk, nothing = replace(walk, field=field + size * (walk.field - field)), Mock(log_likelihood=lambda _: 0.0)
+
+    def evidence(noise):
+        return weigh_walk(base, walk, [HERE], noise, LENGTH, PRIOR, CONFIG, null=nothing)[0].log_evidence
+
+    log_factors, log_weights = (x[::5] for x in NOISE.log_factors())
+    at_each = [evidence(noise_times(NOISE, np.exp(one))) for one in log_factors]
+    averaged = np.logaddexp.reduce(at_each + log_weights) - np.logaddexp.reduce(log_weights)
+    assert evidence(NOISE) == pytest.approx(averaged, abs=0.5)
+
+
+def noise_times(noise, factor):
+    """Noise whose covariance is larger by a factor, alike in all walks."""
+    sds = ("misfit_sd", "nugget_sd", "constant_sd", "map_factor", "attitude_sd", "drift_sd")
+    return replace(noise, **{name: getattr(noise, name) * np.sqrt(factor) for name in sds}, spread=1e-9)
 
 
 def test_more_noise_than_expected_widens_the_covariance_and_less_narrows_it_only_where_it_was_learned(base, walk):

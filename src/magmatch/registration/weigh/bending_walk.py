@@ -203,20 +203,20 @@ class BendingWalk:
     def _evidence(self, found: "_Comparison", drift: WalkDrift) -> LineEvidence:
         """Integrate the pose out."""
         n_free = 3 * int(found.known.sum()) - 6
-        inflation = float(self.null.noise.factor(found.chi2, n_free)[0])
+        inflation, log_likelihood = self.null.noise.factor(found.chi2, n_free)
         frame = inflation * drift.rate**2 * drift.bending.frame
         # A walk that fits better than expected may still share its map's errors.
         told = np.linalg.inv(found.told) * max(1.0, inflation)
         covariance, whole = (np.linalg.inv(np.linalg.inv(one) + found.prior) for one in (told, told + frame))
-        rest = EACH_DRIFT + 0.5 * float(np.linalg.slogdet(2 * np.pi * covariance)[1]) + found.occam
+        rest = EACH_DRIFT - 0.5 * float(np.linalg.slogdet(found.information / (2 * np.pi))[1]) + found.occam
         rest += self.null.log_likelihood(found.known) - self.turned_null.log_likelihood(found.known)
         return LineEvidence(
             T_base_target=transform_of(found.R, found.p - found.R @ self._center),
             center=self._center,
             covariance=whole,
             overlap=float(found.known.mean()),
-            log_evidence=rest + found.fit,
-            attainable=rest + float(self.null.noise.factor(min(found.chi2, n_free), 3 * found.known.sum())[1]),
+            log_evidence=rest + float(log_likelihood),
+            attainable=rest + float(self.null.noise.factor(min(found.chi2, n_free), n_free)[1]),
             misfit=float(np.sqrt(found.chi2 / n_free)),
             is_covered=found.known,
             model=drift.model,

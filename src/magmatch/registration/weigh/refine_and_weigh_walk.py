@@ -266,10 +266,10 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
     covariance = np.linalg.inv(told + fits.prior_information)
     covariance = (covariance + np.swapaxes(covariance, 1, 2)) / 2
     log_evidence = (
-        log_likelihood
+        log_likelihood  # with the pose integrated out at each factor: so many residuals fewer
         - fits.half_log_det
         - np.array([null.log_likelihood(known) for known in fits.known])
-        + 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
+        - 0.5 * np.linalg.slogdet(fits.information / (2 * np.pi))[1]
         + squares.prior.log_densities(fits.prior_information, fits.prior_chi2)
         + config.log_weight(path, fits.known.mean(axis=1))
         - config.price * path * (fits.strain > 1).mean(axis=1)
