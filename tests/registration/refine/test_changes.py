@@ -141,6 +141,19 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit_and_
     assert distance(best.pose.T_base_target, T_model, target) < 0.003
 
 
+def test_what_changed_may_also_be_left_out_and_not_estimated(moved, ordinary, nulls, whole):
+    """Another model of the same pose, by the evidence of the cells that agree."""
+    base, target, T_model, _ = moved
+    search = ChangeSearch(base, target, nulls, FLAT, CONFIG, 0)
+    estimated, left_out = sorted(search.poses([T_model], whole, ordinary), key=lambda one: one.model)
+    assert (estimated.model, left_out.model) == ("rigid, changed", "rigid, without changed cells")
+    rows, agreement, _, n_cells = search._agreement(left_out.pose)
+    assert left_out.log_evidence == pytest.approx(agreement + left_out.price, abs=1.0)  # sensors are alike, to that
+    assert left_out.unchanged == len(rows) / n_cells < 1
+    assert left_out.log_evidence > 50
+    assert left_out.pose is estimated.pose
+
+
 def test_choices_of_cells_that_take_turns_end_with_one_of_them(moved, ordinary, nulls, monkeypatch):
     """Each leads to a pose 5 cm from the other's."""
     base, target, T_model, _ = moved

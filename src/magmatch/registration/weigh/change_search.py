@@ -51,7 +51,15 @@ class ChangeSearch:
             for agreement, pose in agreements[: self.config.n_candidates]
             if agreement + best.price > 0
         ]
-        return in_order(found)
+        return in_order([*found, *(self._without_changed_cells(one.pose) for one in found if one is not None)])
+
+    def _without_changed_cells(self, pose: RefinedPose) -> PoseEvidence | None:
+        """Weigh a pose by the cells that agree alone: nothing is said of what changed in the others."""
+        rows, agreement, _, n_cells = self._agreement(pose)
+        if len(rows) == n_cells:
+            return None
+        left_out = Change(np.zeros_like(self.target.sample_field), rows, len(rows) / n_cells, agreement)
+        return weigh_pose(self.base, self.target, pose, self.nulls, self.prior, left_out)
 
     def _agreement(
         self, pose: RefinedPose, shares: Sequence[float] = UNCHANGED_SHARES

@@ -146,7 +146,8 @@ def weigh_pose(
 
 def _model(pose: RefinedPose, change: Change | None) -> str:
     sensors = f", sensors {pose.log_prior:g}" if pose.log_prior else ""
-    return f"rigid{'' if change is None else ', changed'}{sensors}"
+    left = "" if change is None else ", changed" if change.field.any() else ", without changed cells"
+    return f"rigid{left}{sensors}"
 
 
 def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:
