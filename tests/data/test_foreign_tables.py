@@ -25,12 +25,6 @@ def same(first, second):
     np.testing.assert_array_equal(first.field, second.field)
 
 
-def test_parquet_of_pyarrow_gives_the_same_numbers(room, tmp_path):
-    pq, pa = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
-    pq.write_table(pa.table(columns_of(room)), tmp_path / "room.parquet", row_group_size=7)
-    same(read_survey(tmp_path / "room.parquet"), room)
-
-
 def test_float32_and_integers_are_numbers_too(room, tmp_path):
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")

@@ -15,7 +15,7 @@ from magmatch.simulation.scenarios import ROBOT_HEIGHT, SCENARIOS, build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.simulation.simulate import simulate
 
-SETTINGS = settings(deadline=None, max_examples=10)
+SETTINGS = settings(deadline=None, max_examples=4)
 SAME_PLACE = sorted(set(SCENARIOS) - {"nowhere"})
 ROOMS = ("office", "office-x30", "office-random", "office-overlap", "planar", "nowhere")
 

@@ -92,14 +92,6 @@ def test_length_unit_only_scales_the_positions(unit, tmp_path):
     np.testing.assert_array_equal(read_survey_csv(path, layout).field, NUMBERS[:, 3:])
 
 
-def test_sensor_vectors_are_turned_into_the_survey_frame(room, tmp_path):
-    path = tmp_path / "sensor.csv"
-    seen = room.orientations.inv().apply(room.field)
-    Survey(room.positions, seen, room.times, room.orientations).save(path)
-    survey = read_survey(path, SurveyFormat(field_frame="sensor"))
-    np.testing.assert_allclose(survey.field, room.field, atol=1e-18)
-
-
 def test_sensor_vectors_without_orientations_are_refused(tmp_path):
     path = write(tmp_path / "survey.csv", PLAIN)
     with pytest.raises(DataFormatError, match="'sensor' needs orientations"):
@@ -169,13 +161,6 @@ def test_two_surveys_in_one_file_are_refused_by_line(room, tmp_path):
         with pytest.raises(DataFormatError) as caught:
             read_survey(tmp_path / "both.csv")
         assert words in str(caught.value).replace("'", "")
-
-
-def test_accuracy_of_the_positions_may_be_given_from_outside(room, tmp_path):
-    path = tmp_path / "room.csv"
-    Survey(room.positions, room.field, pose_sd=0.05).save(path)
-    assert read_survey(path).pose_sd == 0.05
-    assert read_survey(path, SurveyFormat(pose_sd=0.2)).pose_sd == 0.2
 
 
 def about_z(angle):
