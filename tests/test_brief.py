@@ -43,12 +43,3 @@ def test_an_object_shows_itself_in_three_lines_or_fewer(name):
     assert name.split()[-1] in said
     assert len(said.splitlines()) <= 3
     assert len(said) < 500
-
-
-def test_what_is_shown_are_sizes_and_words():
-    assert repr(NOUNS["Features"]) == (
-        "Features: positions (1000, 3), field (1000, 3), response (1000,), local_frames Rotation of 1000, "
-        "descriptors (1000, 64)"
-    )
-    assert repr(NOUNS["no Features"]).startswith("Features: positions (0, 3)")
-    assert repr(NOUNS["Track"]) == "Track of 'walk': a pose for 1000 of 1000 samples, 0 maps"
