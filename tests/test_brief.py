@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
-from magmatch.brief import brief
 from magmatch.features.extract import Features
 from magmatch.field.values import FieldValues
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
@@ -34,6 +33,7 @@ NOUNS = {
     "ClosureResult": CLOSURE,
     "SlamResult": SlamResult(SlamStatus.CONNECTED, "all", (LogResult("a", 0, None, 1.0, 1, 0.0, (1.0, 0.1)),) * 50),
     "Session": mm.Session(given=[WALK] * 50),
+    "Atlas": mm.Atlas(Path("maps"), (), mm.RegistrationConfig()),
 }
 
 
@@ -43,24 +43,3 @@ def test_an_object_shows_itself_in_three_lines_or_fewer(name):
     assert name.split()[-1] in said
     assert len(said.splitlines()) <= 3
     assert len(said) < 500
-
-
-def test_what_is_shown_are_sizes_and_words():
-    assert repr(NOUNS["Features"]) == (
-        "Features: positions (1000, 3), field (1000, 3), response (1000,), local_frames Rotation of 1000, "
-        "descriptors (1000, 64)"
-    )
-    assert repr(NOUNS["no Features"]).startswith("Features: positions (0, 3)")
-    assert repr(NOUNS["Track"]) == "Track of 'walk': a pose for 1000 of 1000 samples, 0 maps"
-
-
-def test_what_a_simulation_a_preparation_and_an_atlas_give_is_shown_briefly(tmp_path):
-    for module, name in (
-        ("simulation.scene", "SimulatedPair"),
-        ("preparation.preparation_report", "PreparationReport"),
-        ("registration.index.atlas", "Atlas"),
-        ("registration.index.map_index", "MapIndex"),
-    ):
-        home = __import__(f"magmatch.{module}", fromlist=[name])
-        assert getattr(home, name).__repr__ is brief
-    assert repr(mm.Atlas(Path("maps"), (), mm.RegistrationConfig())).startswith("Atlas: folder 'maps', entries ")

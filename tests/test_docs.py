@@ -68,22 +68,6 @@ def test_commands_on_a_page_parse(page):
             pytest.fail(f"{' '.join(words)}: {error.format_message()}")
 
 
-def test_the_tutorial_shows_the_commands_a_newcomer_needs():
-    shown = {words[1] for words in shell_commands((DOCS / "tutorial.md").read_text())}
-    assert shown >= {
-        "demo",
-        "simulate",
-        "info",
-        "register",
-        "transform",
-        "map",
-        "query",
-        "view",
-        "convert",
-        "prepare",
-    }
-
-
 @pytest.mark.parametrize(
     "page", [ROOT / "CONTRIBUTING.md", *sorted((DOCS / "theory").glob("*.md"))], ids=lambda page: page.name
 )

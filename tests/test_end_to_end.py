@@ -52,13 +52,6 @@ def test_surveys_in_other_frames_give_the_same_answer_within_its_covariance(offi
     assert xi @ np.linalg.solve(result.covariance, xi) < 6.0
 
 
-def test_swapping_base_and_target_inverts_the_answer_within_its_covariance(office):
-    _, base_map, target_map, result = office
-    swapped = mm.register(target_map, base_map)
-    xi = log_se3(result.T_base_target.inv() * swapped.T_base_target.inv())
-    assert xi @ np.linalg.solve(result.covariance, xi) < 12.0
-
-
 @pytest.mark.slow
 def test_walks_along_the_path_of_another_are_refined_from_both_sides():
     errors = []

@@ -16,7 +16,6 @@ from magmatch.geometry import (
     rotate_tensors,
     rotate_third_order,
     rotate_vectors,
-    skew,
     transform_error,
     transform_points,
 )
@@ -65,12 +64,6 @@ def test_tangent_vectors_are_rotation_first():
     T = exp_se3(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]))
     np.testing.assert_allclose(T.translation, [1, 2, 3])
     np.testing.assert_allclose(T.rotation.magnitude(), 0)
-
-
-def test_skew_is_the_cross_product():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b))
 
 
 def test_transform_error_is_measured_at_the_centre():

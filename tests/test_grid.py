@@ -35,8 +35,3 @@ def test_a_single_point_makes_a_grid_of_one():
     grid = RegularGrid.over(np.array([[1.0, 2.0, 3.0]]), 0.5)
     assert grid.shape == (1, 1, 1)
     np.testing.assert_allclose(grid.points(), [[1, 2, 3]])
-
-
-def test_spacing_must_be_positive():
-    with pytest.raises(ValueError, match="positive"):
-        RegularGrid.over(np.zeros((3, 3)), 0.0)

@@ -15,7 +15,6 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
-from magmatch import published
 from magmatch.data.read import read_survey
 from magmatch.field.live.estimator import FieldEstimator
 from magmatch.registration.result import Links
@@ -423,14 +422,6 @@ def test_dir_is_the_public_names():
     assert {"PRESETS", "MapIndex", "Hyperparameters", "SurveyError", "MagmatchError"} <= set(dir(mm))
     for name in dir(mm):
         assert getattr(mm, name) is not None
-
-
-def test_the_published_method_is_public_part_by_part():
-    steps = {"infer", "detect", "local_frames", "describe", "match", "consensus", "fitness", "register"}
-    assert steps <= set(published.__all__)
-    for name in published.__all__:
-        thing = getattr(published, name)
-        assert not callable(thing) or thing.__doc__, name
 
 
 def test_importing_loads_nothing_heavy():

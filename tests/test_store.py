@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is saved comes back to the bit, or is refused in one line that names the file, however it was damaged."""
 
-import errno
 import json
 import os
 import signal
@@ -179,34 +178,24 @@ HOSTILE = {
     "a header beyond the file": ((1 << 40).to_bytes(8, "little") + SMALL[8:], "is cut off or damaged"),
     "a negative header": (b"\xff" * 8 + SMALL[8:], "is cut off or damaged"),
     "not JSON": (sealed(b'",,}'), "Expecting property name"),
-    "a list": (sealed(b'"}]'), "Expecting ',' delimiter"),
     "no metadata of ours": (sealed(b'"}}'), "entry 'data' is missing"),
     "metadata of numbers": (crafted(lambda _h, a: a.update(version=1)), "entry 'version' of the header"),
     "the same key twice": (sealed(b'","data":"","data":""}}'), "appears twice"),
     "nested too deep": (sealed(b'","x":' + nested(100_000).encode() + b"}}"), "recursion"),
     "content nested too deep": (crafted(lambda _h, _a: 0, content=nested(100_000)), "recursion"),
-    "content somewhat deep": (crafted(lambda _h, _a: 0, content=nested(900)), "found a list"),
-    "content that is no JSON": (crafted(lambda _h, _a: 0, content="{"), "Expecting property name"),
     "content a list": (crafted(lambda _h, _a: 0, content=[]), "expected an object, found a list"),
     "an array not there": (crafted(lambda _h, _a: 0, content={"x": {"$array": "y"}}), "entry 'y' is missing"),
-    "an array named oddly": (crafted(lambda _h, _a: 0, content={"x": {"$array": [1]}}), "unhashable"),
     "a class not asked for": (crafted(lambda _h, _a: 0, content={"x": {"$Popen": {}}}), "holds a Popen"),
     "a class that lacks a field": (crafted(lambda _h, _a: 0, content={"x": {"$Noun": {}}}), "missing 2 required"),
-    "a class of a list": (crafted(lambda _h, _a: 0, content={"x": {"$Noun": [1]}}), "must be a mapping"),
     "two kinds": (crafted(lambda _h, _a: 0, content={"x": {"$Noun": {}, "y": 1}}), "holds a Noun"),
     "a transform that is none": (crafted(lambda _h, _a: 0, content={"T": {"$transform": [[1]]}}), "4x4"),
-    "a number that is none": (crafted(lambda _h, _a: 0, content={"T": {"$number": "x"}}), "could not convert"),
     "a rotation that is none": (crafted(lambda _h, _a: 0, content={"T": {"$rotation": [[1, 2, 3, 4]]}}), "unit quat"),
-    "a rotation of a word": (crafted(lambda _h, _a: 0, content={"T": {"$rotation": "x"}}), ""),
     "rows of objects": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "O"]], [4]]}}), "of numbers"),
     "rows of another width": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "S3"]], [4]]}}), "size"),
-    "an entry that is a word": (crafted(lambda h, _a: h.update(x="y")), "indices"),
     "an entry without a shape": (crafted(lambda h, _a: h["x"].pop("shape")), "entry 'shape' is missing"),
     "an entry with more": (crafted(entry(codec="pickle")), "expected dtype, shape and offsets"),
     "objects": (crafted(entry(dtype="O")), "expected dtype, shape and offsets"),
-    "an unhashable dtype": (crafted(entry(dtype=[])), "unhashable"),
     "a negative shape": (crafted(entry(shape=[-4])), "expected dtype, shape and offsets"),
-    "a shape of a flag": (crafted(entry(shape=[4, True])), "expected dtype, shape and offsets"),
     "a huge shape": (crafted(entry(shape=[2**30, 2**30])), "bytes from"),
     "a shape of many axes": (crafted(entry(shape=[4, *[1] * 100])), "entry 'x'"),
     "an empty shape without end": (crafted(entry(shape=[0, 2**31, 2**31, 2**31], data_offsets=[0, 0])), "entry"),
@@ -267,20 +256,6 @@ def test_a_header_never_looks_like_gzip_zip_or_any_other_signature():
     """Eight bytes stand first: the header's length is a multiple of eight, and below what 'PK' would need."""
     assert {int.from_bytes(dumps(SCHEMA, {"w": n * "a"})[:8], "little") % 8 for n in range(16)} == {0}
     assert int.from_bytes(b"PK\x03\x04", "little") > store.MAX_HEADER
-
-
-def test_a_full_disk_leaves_the_old_file_whole(tmp_path, monkeypatch):
-    save(tmp_path / "a", SCHEMA, {"x": 1})
-    whole = (tmp_path / "a").read_bytes()
-
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr("magmatch.atomic.os.fsync", full)
-    with pytest.raises(OSError, match="No space left") as caught:
-        save(tmp_path / "a", SCHEMA, tree())
-    assert caught.value.filename == str(tmp_path / "a")
-    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a", whole)]
 
 
 WRITER = """

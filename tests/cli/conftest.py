@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from drifting import GIVEN
+from drifting import give_numbers
 from magmatch.cli.main import main
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate, write_pair
-from magmatch.slam.session import Session
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ def refused(run: Run) -> Callable[..., str]:
 @pytest.fixture
 def numbers_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
     """The map of a session is made at once: its numbers are given, not chosen."""
-    monkeypatch.setitem(Session.map.__globals__, "SPLINE", GIVEN)
+    give_numbers(monkeypatch)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 
 import json
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -30,31 +29,10 @@ def with_columns(header: str, row: str) -> str:
 EMPTY_RESULT = '{"schema": "magmatch.registration/1"}'
 
 SURVEYS: dict[str, tuple[str | bytes, str]] = {
-    "missing column": (with_columns("x,y,z,bx,by", "0,0,0,1e-5,1e-5"), "missing bz"),
     "text in a number": (with_row("1,2,3,abc,0,4e-5"), "line 22, column 'bx'"),
-    "infinity": (with_row("1,2,inf,0,0,4e-5"), "line 22, column 'z'"),
-    "short row": (with_row("1,2,3,0,0"), "line 22"),
-    "cut off in the middle": ("\n".join([HEADER, *good_rows()]) + "\n1,2,3,4", "line 22"),
     "empty file": ("", "empty"),
-    "header only": (HEADER + "\n", "no samples"),
-    "no header": ("\n".join(good_rows()), "line 1"),
-    "two separators": (HEADER + ";t\n" + "\n".join(good_rows()), "line 1"),
     "microtesla": (with_columns(HEADER, "0,0,0,20,0,40"), "--field-unit uT"),
-    "zero field": ("\n".join([HEADER, *(f"{i},0,0,0,0,0" for i in range(20))]), "zero"),
-    "one point": (with_columns(HEADER, "1,2,3,2e-5,0,4e-5"), "one point"),
     "wider than any place": ("\n".join([HEADER, *(f"{i}e8,0,0,2e-5,0,4e-5" for i in range(20))]), "--length-unit"),
-    "time runs backward": (
-        "\n".join([HEADER + ",t", *(f"{r},{-i}" for i, r in enumerate(good_rows()))]),
-        "line 3, column 't'",
-    ),
-    "zero quaternion": (with_columns(HEADER + ",qx,qy,qz,qw", "0,0,0,1e-5,0,4e-5,0,0,0,0"), "line 2"),
-    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(50), "PNG"),
-    "pickle": (b"\x80\x04\x95" + bytes(50), "pickle"),
-    "table of a web page": ('<table border="1" class="dataframe"><tr></tr></table>', "web page"),
-    "NUL bytes": (with_row("1,2,3,0,0,\0").encode(), "NUL"),
-    "other JSON": (json.dumps({"schema": "other/1"}), "schema"),
-    "trajectory": ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "TUM"),
-    "broken archive": (b"PK\x03\x04" + bytes(60), "archive"),
 }
 
 
@@ -84,13 +62,7 @@ def looping(path: Path) -> None:
     path.symlink_to(path)
 
 
-def circling(path: Path) -> None:
-    other = path.with_name("other.csv")
-    other.symlink_to(path)
-    path.symlink_to(other)
-
-
-NO_FILES: dict[str, Callable[[Path], None]] = {"link to itself": looping, "links in a circle": circling,
+NO_FILES: dict[str, Callable[[Path], None]] = {"link to itself": looping,
                                                "pipe": os.mkfifo, "folder": Path.mkdir}  # fmt: skip
 TAKES_A_FILE: dict[str, Callable[[Path, Path, Path], list[object]]] = {
     "info": lambda g, b, o: ["info", b],
@@ -119,7 +91,7 @@ def test_what_is_no_file_is_refused_at_every_door_whatever_its_name(
     refused([*TAKES_A_FILE[door](good, bad, out)], "bad.csv", out)
 
 
-@pytest.mark.parametrize("kind", ["link to itself", "links in a circle", "folder"])
+@pytest.mark.parametrize("kind", ["link to itself", "folder"])
 def test_no_result_is_written_where_no_file_can_be(kind, good, out, refused, tmp_path):
     bad = tmp_path / "bad.csv"
     NO_FILES[kind](bad)
@@ -164,7 +136,6 @@ USAGE: dict[str, tuple[Arguments, str]] = {
         lambda g, t, o: ["transform", g, "--by", written(t, "r.json", EMPTY_RESULT), "--out", o / "a.csv"],
         "r.json",
     ),
-    "sensor frame without orientation": (lambda g, t, o: ["info", g, "--field-frame", "sensor"], "good.csv"),
     "trajectory for a survey without time": (
         lambda g, t, o: ["info", g, "--trajectory", written(t, "p.tum", "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")],
         "missing t",
@@ -230,10 +201,7 @@ def test_a_missing_configuration_is_named(good, out, refused, tmp_path):
 
 
 POINTS = {
-    "missing column": ("x,y\n1,2\n", "missing z"),
-    "header only": ("x,y,z\n", "no samples"),
     "not a number": ("x,y,z\n0,0,0\n0,nan,0\n", "line 3, column 'y'"),
-    "no header": ("1,2,3\n", "line 1"),
 }
 
 
@@ -284,43 +252,9 @@ def test_a_refused_registration_moves_nothing_and_an_edited_one_neither(edit, pl
     refused(["transform", good, "--by", result, "--out", out / "a.csv"], "r.json", out)
 
 
-@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere; tried below without")
-def test_no_permission_to_write_is_refused(good, out, refused):
-    out.chmod(0o500)
-    refused(["map", good, "--out", out / "m"], "permission", out)
-
-
 def test_no_permission_to_write_is_refused_before_the_work(good, out, refused, monkeypatch):
     def deny(*_args, **_named):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("magmatch.cli.outputs.tempfile.NamedTemporaryFile", deny)
     refused(["map", good, "--out", out / "m"], "no permission to write", out)
-
-
-def test_no_permission_to_read_is_refused(good, out, refused, monkeypatch):
-    read_bytes = Path.open
-
-    def deny(path, *args, **named):
-        if path.name == "good.csv":
-            raise PermissionError(13, "Permission denied", str(path))
-        return read_bytes(path, *args, **named)
-
-    monkeypatch.setattr(Path, "open", deny)
-    refused(["map", good, "--out", out / "m"], "good.csv", out)
-
-
-def test_a_failure_late_leaves_the_old_result(place, good, out, run, tmp_path, monkeypatch):
-    old = tmp_path / "old.map"
-    shutil.copy(place / "base.map", old)
-    content = old.read_bytes()
-
-    def fail(*_args):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", fail)
-    outcome = run("transform", old, "--by", place / "result.json", "--out", tmp_path / "old2.map")
-    assert outcome.code == 1
-    assert not (tmp_path / "old2.map").exists()
-    assert [p.name for p in tmp_path.iterdir() if "tmp" in p.name] == []
-    assert old.read_bytes() == content

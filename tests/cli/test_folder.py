@@ -83,10 +83,6 @@ def test_nothing_is_kept_of_a_map_that_changed_meanwhile_or_was_made_of_one(plac
     assert not open_index(MapFile.of(path), config).is_whole
 
 
-def test_a_folder_without_maps_is_refused_in_one_line(place, refused, tmp_path):
-    refused(["register", tmp_path, place / "target.csv"], "folder")
-
-
 def test_a_rough_pose_of_a_result_is_taken_and_kept_in_the_settings(place, run):
     words = ("register", place / "base.map", place / "target.map", "--json")
     outcome = run(*words, "--prior-pose", place / "result.json", "--prior-pose-sd", "0.5,20", "--gravity-aligned")
@@ -121,7 +117,3 @@ def test_what_may_differ_between_the_sensors_is_as_asked(place, run):
     found = {mode: json.loads(run(*words, mode).out)["sensor"] for mode in ("none", "full")}
     assert found["none"] is None
     assert len({round(number, 9) for row in found["full"]["gain"] for number in row}) > 3
-
-
-def test_the_published_decision_cannot_compare_maps(place, folder, refused):
-    refused(["register", folder, place / "target.csv", "--preset", "paper"], "fitness")

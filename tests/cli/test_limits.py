@@ -63,13 +63,6 @@ def test_a_tight_spread_makes_a_found_place_degenerate(place, run):
         assert row == pytest.approx(expected, abs=1e-9)
 
 
-def test_a_wide_spread_and_a_modest_probability_accept_what_was_accepted(place, run):
-    code, result = registered(run, place, "--max-sd", "10,90", "--min-probability", "0.5")
-    assert (code, result["status"]) == (0, "accepted")
-    before = json.loads((place / "result.json").read_text())
-    assert result["T_base_target"] == before["T_base_target"]
-
-
 def test_a_probability_beyond_what_is_reached_refuses(place, run, tmp_path):
     # To double precision good evidence is certain: here it stands against odds.
     settings = tmp_path / "settings.yaml"

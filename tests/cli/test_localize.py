@@ -110,10 +110,3 @@ def test_elsewhere_it_says_never_and_writes_no_pose(run, hall, tmp_path):
 )
 def test_bad_input_is_one_line_and_leaves_nothing(refused, hall, tmp_path, words, said):
     refused(["localize", *[word.format(hall=hall, tmp=tmp_path) for word in words]], said, tmp_path)
-
-
-def test_a_log_without_times_is_refused_by_name(refused, hall, tmp_path):
-    log = mm.read_survey(hall / "walk.csv")
-    mm.Survey(log.positions, log.field).save(tmp_path / "still.csv")
-    words = ["localize", hall / "hall.map", tmp_path / "still.csv", "--out", tmp_path / "w.tum"]
-    assert "times" in refused(words, "still.csv")

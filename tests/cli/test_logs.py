@@ -48,13 +48,6 @@ def test_a_log_is_taken_wherever_a_survey_is(log, run, tmp_path):
     assert "Mapped 200 samples" in outcome.err
 
 
-@pytest.mark.parametrize("option", [(), ("--recover",)])
-def test_a_cut_log_is_refused_in_one_line_that_names_what_mends_it(option, log, refused, tmp_path):
-    log.write_bytes(log.read_bytes()[: int(0.6 * log.stat().st_size)])
-    for words in (("info", log), ("map", log, "--out", tmp_path / "out.map")):
-        refused([*words, *option], f"{log}: is a damaged MCAP file (it ends too early); mcap recover mends it")
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -13,7 +13,6 @@ import magmatch.data.read
 from magmatch.cli.added import ELSEWHERE
 from magmatch.cli.main import build_app
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.read import read_survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 
@@ -193,9 +192,3 @@ def test_options_reach_the_recording_of_a_turned_sensor(files):
     layout = SurveyFormat(field_unit="uT", columns="bx=mx,by=my,bz=mz", recover=True)
     found = read_sensor(files / "odd_turn.csv", layout)
     np.testing.assert_allclose(found.shift, expected.shift, rtol=1e-6)
-
-
-def test_a_mount_without_orientations_is_refused(files):
-    (files / "bare.csv").write_text("x,y,z,bx,by,bz\n" + rows(POSITIONS, FIELD))
-    with pytest.raises(DataFormatError, match="--extrinsic needs orientations"):
-        read_survey(files / "bare.csv", SurveyFormat(extrinsic="0 0 1"))

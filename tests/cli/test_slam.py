@@ -141,10 +141,6 @@ def test_one_file_of_poses_is_not_taken_for_several_surveys(name, refused, place
     assert "magmatch convert SURVEY SURVEY_POSED.csv --trajectory POSES" in said
 
 
-def test_merge_takes_two_at_least(refused, place, tmp_path):
-    refused(["merge", place / "base.csv", "--out", tmp_path / "out"], "at least two", tmp_path)
-
-
 def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, refused, logs, tmp_path, monkeypatch):
     walk, truth = mm.read_survey(logs / "short.csv"), np.load(logs / "truth.npy")
     points = tmp_path / "points.csv"
@@ -185,18 +181,6 @@ def test_one_more_log_is_added_to_a_folder(run, refused, logs, corrected, tmp_pa
     assert (tmp_path / "out" / "short.tum").is_file()
     refused([*both, "--continue", "--planar"], "--continue")
     refused(["slam", logs / "short.csv", "--out", tmp_path / "new", "--continue"], "no session")
-
-
-def test_logs_in_mixed_units_and_clocks_that_run_backward_are_one_line(refused, logs, tmp_path):
-    walk = mm.read_survey(logs / "short.csv")
-    micro = np.column_stack([walk.times, walk.positions, 1e6 * walk.field])
-    np.savetxt(tmp_path / "micro.csv", micro, delimiter=",", header="t,x,y,z,bx,by,bz", comments="", fmt="%.17g")
-    words = ["slam", logs / "short.csv", tmp_path / "micro.csv", "--out", tmp_path / "out"]
-    assert "micro.csv" in refused(words, "uT")
-    lines = (logs / "short.csv").read_text().splitlines()
-    (tmp_path / "back.csv").write_text("\n".join([*lines[:50], lines[20], *lines[50:]]) + "\n")
-    assert "backward" in refused(["slam", tmp_path / "back.csv", "--out", tmp_path / "out"], "back.csv, line 51")
-    assert {path.name for path in tmp_path.iterdir()} == {"micro.csv", "back.csv"}
 
 
 def test_a_log_of_another_place_is_said_to_be_tied_to_none(run, logs, tmp_path):

@@ -123,27 +123,6 @@ def test_what_spreadsheets_write_is_read(case, tmp_path):
     np.testing.assert_array_equal(survey.times, NUMBERS[:, 0])
 
 
-DAMAGE = {
-    "an error of the spreadsheet": "#N/A,1,1,1,30,30,30",
-    "an error in a number": "0.55,1,1,1,#DIV/0!,30,30",
-    "no value": "0.55,1,1,1,n/a,30,30",
-    "a dash": "0.55,1,1,1,\u2013,30,30",
-    "an empty cell": "0.55,1,1,1,,30,30",
-    "half a row": "0.55,1,1",
-}
-
-
-@pytest.mark.parametrize("case", DAMAGE)
-def test_a_row_without_a_reading_may_be_left_out_as_the_message_says(case, tmp_path, caplog):
-    lines = table().split("\n")
-    (tmp_path / "s.csv").write_text("\n".join([*lines[:7], DAMAGE[case], *lines[7:]]))
-    with pytest.raises(DataFormatError, match=r"line 8\b.*--recover leaves such rows out"):
-        read_survey(tmp_path / "s.csv", SurveyFormat(field_unit="uT"))
-    survey = read_survey(tmp_path / "s.csv", SurveyFormat(field_unit="uT", recover=True))
-    np.testing.assert_array_equal(survey.times, NUMBERS[:, 0])
-    assert "left out 1 row" in caplog.text
-
-
 def poses(header, numbers=POSES, mark=" "):
     return table(header, mark, numbers=numbers)
 

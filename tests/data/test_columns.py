@@ -116,7 +116,9 @@ def test_a_number_beyond_the_columns_is_refused(tmp_path):
         read(write(tmp_path / "s.csv", "", ROWS), NAMED.replace("bz=7", "bz=9"))
 
 
-@pytest.mark.parametrize(("text", "z"), [("0", 0.0), ("1.20", 1.2), ("-3", -3.0)])
+@pytest.mark.parametrize(
+    ("text", "z"), [("0", 0), ("1.20", 1.2), ("-3", -3), ("\u22121.5", -1.5), ("+2", 2), ("1e0", 1)]
+)
 def test_a_constant_stands_for_a_column(door, text, z):
     own = dict(zip(["x", "y", "bx", "by", "bz"], np.hstack([XYZ[:, :2], FIELD]).T, strict=True))
     np.testing.assert_array_equal(door(own, {"z": text}).positions[:, 2], z)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.diagnoses import AXES, OWN, PLAUSIBLE_BEND, diagnose, inclination_deg, of_verticals, warn
+from magmatch.data.diagnoses import AXES, PLAUSIBLE_BEND, diagnose, inclination_deg, of_verticals, warn
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
 
@@ -127,12 +127,6 @@ def test_a_turn_about_the_vertical_between_orientations_and_path_is_the_mounting
     survey = walk()
     for axes in (axes for axes in AXES.values() if axes[2, 2] == 1):
         assert diagnose(held(survey, Rotation.from_matrix(axes) * survey.orientations)) == []
-
-
-def test_axes_are_every_right_handed_way():
-    assert len(AXES) == 24
-    np.testing.assert_array_equal(AXES[OWN], np.eye(3))
-    assert all(np.isclose(np.linalg.det(axes), 1) for axes in AXES.values())
 
 
 def test_a_sensor_that_keeps_its_attitude_and_a_field_that_is_constant_are_told_of_nothing():

@@ -7,7 +7,7 @@ import pytest
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.read import read_survey
-from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.errors import ConfigurationError
 
 FOREIGN = "t=stamp,x=pos_x,y=pos_y,z=pos_z,bx=mag_x,by=mag_y,bz=mag_z"
 
@@ -23,25 +23,6 @@ def same(first, second):
     np.testing.assert_array_equal(first.times, second.times)
     np.testing.assert_array_equal(first.positions, second.positions)
     np.testing.assert_array_equal(first.field, second.field)
-
-
-def test_parquet_of_pyarrow_gives_the_same_numbers(room, tmp_path):
-    pq, pa = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
-    pq.write_table(pa.table(columns_of(room)), tmp_path / "room.parquet", row_group_size=7)
-    same(read_survey(tmp_path / "room.parquet"), room)
-
-
-def test_parquet_of_pandas_with_time_stamps_and_other_columns(room, tmp_path):
-    pd = pytest.importorskip("pandas")
-    pytest.importorskip("pyarrow")
-    stamps = pd.to_datetime((room.times * 1e9).astype(np.int64) + 1_700_000_000_123_456_789)
-    frame = pd.DataFrame(columns_of(room) | {"t": stamps, "note": "x", "BX": 0.0})
-    frame = frame.drop(columns="BX")
-    frame.to_parquet(tmp_path / "room.parquet")
-    survey = read_survey(tmp_path / "room.parquet")
-    expected = [(int(1e9 * t) + 1_700_000_000_123_456_789) / 10**9 for t in room.times.tolist()]
-    np.testing.assert_array_equal(survey.times, expected)
-    np.testing.assert_array_equal(survey.field, room.field)
 
 
 def test_float32_and_integers_are_numbers_too(room, tmp_path):
@@ -89,9 +70,3 @@ def test_euroc_poses_and_field(tmp_path):
     survey = read_survey(tmp_path / "mag.csv", SurveyFormat(trajectory=tmp_path / "poses.csv", field_unit="uT"))
     np.testing.assert_allclose(survey.positions[3], [0.06, 0.12, 1])
     np.testing.assert_allclose(survey.field[0], poses.orientations[0].apply([20e-6, 3e-6, -45e-6]), rtol=1e-12)
-
-
-def test_euroc_stamps_are_whole_nanoseconds(tmp_path):
-    (tmp_path / "poses.csv").write_text(EUROC_POSES + "1.5,0,0,0,1,0,0,0,0\n2.5,0,0,0,1,0,0,0,0\n")
-    with pytest.raises(DataFormatError, match=r"line 2, column 't': expected whole nanoseconds, found '1[.]5'"):
-        load_trajectory(tmp_path / "poses.csv", SurveyFormat())

@@ -38,11 +38,18 @@ def test_writing_names_the_extra(suffix, package, extra, walk, tmp_path, monkeyp
 
 @pytest.mark.parametrize(
     ("suffix", "package", "extra"),
-    [(".mcap", "mcap", "ros"), (".mcap", "zstandard", "ros"), (".parquet", "pyarrow", "parquet")],
+    [
+        (".mcap", "mcap", "ros"),
+        (".mcap", "zstandard", "ros"),
+        (".mcap", "rosbags", "ros"),
+        (".parquet", "pyarrow", "parquet"),
+    ],
 )
-def test_reading_names_the_extra(suffix, package, extra, walk, tmp_path, monkeypatch):
+def test_reading_names_the_extra_and_tables_need_none(suffix, package, extra, walk, tmp_path, monkeypatch):
     pytest.importorskip(package)
     SURVEY_WRITERS[suffix](walk, tmp_path / f"walk{suffix}")
-    hide(monkeypatch, package)
+    walk.save(tmp_path / "walk.csv")
+    hide(monkeypatch, package, "magmatch.data.logs.containers")
+    assert len(read_survey(tmp_path / "walk.csv")) == len(walk)
     with pytest.raises(MissingExtraError, match=rf"pip install '\.\[{extra}\]'"):
         read_survey(tmp_path / f"walk{suffix}")

@@ -45,18 +45,11 @@ def test_decimal_commas_between_semicolons_or_tabs_are_the_same_numbers(mark, no
     assert "german.csv: decimal commas were read as points" in caplog.text
 
 
-def test_points_below_commas_are_refused(rows, tmp_path):
-    def mixed(i, cells):
-        return cells if i == 40 else [cell.replace(".", ",") for cell in cells]
-
-    with pytest.raises(DataFormatError, match=r"line 42, .*where other numbers have decimal commas") as caught:
-        read_survey(write(tmp_path / "s.csv", rows, mark=";", change=mixed), UT)
-    assert "--recover" not in str(caught.value)  # the row is no damage
-
-
 DAMAGE = {
     "no reading": (lambda i, c: [*c[:4], "nan", "nan", "nan"] if 20 <= i < 30 else c, 10, 22, "found 'nan'"),
     "empty cells": (lambda i, c: [*c[:4], "", "", ""] if i in (0, 7) else c, 2, 2, "empty cell"),
+    "errors of a spreadsheet": (lambda i, c: [*c[:4], "#DIV/0!", "#N/A", "n/a"] if i == 5 else c, 1, 7, "'#DIV/0!'"),
+    "a dash": (lambda i, c: [*c[:6], "\u2013"] if i == 5 else c, 1, 7, "found '\u2013'"),
     "words": (lambda i, c: ["-- restart --"] if i == 40 else c, 1, 42, "expected 7 cells"),
     "cut off": (lambda i, c: c[:3] if i == N - 1 else c, 1, N + 1, "ends in the middle of this line"),
 }

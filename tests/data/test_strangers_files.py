@@ -104,15 +104,6 @@ def test_times_and_field_under_other_names_are_both_asked_for(tmp_path, poses):
         read_survey(tmp_path / "field.csv", poses(0))
 
 
-@pytest.mark.parametrize(("text", "height"), [("\u22121.5", -1.5), ("+2", 2), ("1e0", 1), ("-1", -1)])
-def test_a_constant_may_be_written_in_several_ways(text, height, tmp_path):
-    rows = zip(TIMES.tolist(), (1e-6 * FIELD).tolist(), strict=True)
-    lines = (f"{t},{t},{t * t},{x},{y},{z}\n" for t, (x, y, z) in rows)
-    (tmp_path / "flat.csv").write_text(f"{NAMES.replace('z,b', 'b')}\n" + "".join(lines))
-    survey = read_survey(tmp_path / "flat.csv", SurveyFormat(columns=f"z={text}"))
-    assert set(survey.positions[:, 2]) == {height}
-
-
 HEADERS = {
     "capitals": "T,X,Y,Z,QX,QY,QZ,QW",
     "units": "time (s);pos_x (m);pos_y (m);pos_z (m);qx;qy;qz;qw",

@@ -31,13 +31,6 @@ def test_steady_motion_is_interpolated_exactly(times, rate):
     assert orientations.approx_equal(expected, atol=1e-7).all()  # the angle of a tiny rotation costs half the digits
 
 
-def test_poses_themselves_are_kept():
-    trajectory = helix()
-    positions, orientations = trajectory.interpolate(trajectory.times)
-    np.testing.assert_array_equal(positions, trajectory.positions)
-    assert orientations.approx_equal(trajectory.orientations, atol=1e-7).all()
-
-
 def test_interpolation_takes_the_shortest_turn_whatever_the_sign_of_the_quaternion():
     quaternions = Rotation.from_rotvec([[0.0, 0.0, 0.0], [0.0, 0.0, 0.4]]).as_quat() * np.array([[1.0], [-1.0]])
     trajectory = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 3)), Rotation.from_quat(quaternions))
@@ -62,12 +55,6 @@ def test_saving_and_loading_keeps_the_poses(tmp_path):
     np.testing.assert_array_equal(loaded.times, trajectory.times)
     np.testing.assert_array_equal(loaded.positions, trajectory.positions)
     assert loaded.orientations.approx_equal(trajectory.orientations, atol=1e-12).all()
-
-
-def test_wall_clock_times_keep_their_fractions(tmp_path):
-    times = 1_700_000_000 + np.arange(5) / 100
-    Trajectory(times, np.zeros((5, 3)), Rotation.identity(5)).save(tmp_path / "poses.tum")
-    np.testing.assert_array_equal(Trajectory.load(tmp_path / "poses.tum").times, times)
 
 
 @pytest.mark.parametrize(

@@ -43,12 +43,6 @@ def test_the_grid_follows_the_survey_and_the_normal_of_a_flat_one(make_map):
     assert len(inferred) > 300
 
 
-def test_principal_axes_turn_with_the_survey(make_map):
-    field_map = make_map(0)
-    inferred = infer(field_map, FeatureConfig(spacing=0.2, axes="principal"))
-    assert (inferred.grid.T_map_grid.rotation * field_map.T_map_model.rotation.inv()).magnitude() < 1e-12
-
-
 def test_a_stated_spacing_is_used_or_refused(make_map):
     field_map = make_map(0)
     assert infer(field_map, FeatureConfig(spacing=0.1234)).spacing == 0.1234

@@ -74,17 +74,6 @@ def test_only_a_clear_margin_leaves_the_spline():
     assert choice.best(few).name == "spline"
 
 
-def test_a_lead_is_told_in_standard_errors_and_too_few_parts_tell_nothing():
-    scatter = np.tile([-1.0, 1.0], 20)
-    spline = PriorCandidate("spline", H, np.zeros(40))
-    # The mean of 40 such differences is known to 0.16.
-    for gain in (-0.1, 0.1, 0.2):
-        ahead = choice.lead(PriorCandidate("harmonic", H, scatter - gain), spline)
-        np.testing.assert_allclose(ahead, gain / 0.16, rtol=0.02)
-    few = PriorCandidate("harmonic", H, spline.log_errors[:5] + 9)
-    assert choice.lead(few, PriorCandidate("spline", H, np.zeros(5))) == np.inf
-
-
 @pytest.mark.slow
 def test_what_loses_on_a_part_of_a_large_survey_is_not_laid_over_all_of_it(monkeypatch):
     t, (points, _) = np.linspace(0, 1, 2400)[:, None], room(inside=True, n=4)

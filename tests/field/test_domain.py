@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from magmatch.data.survey import Survey
-from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
@@ -40,8 +39,3 @@ def test_the_box_moves_with_its_map_and_is_saved_with_it(bounded, tmp_path):
     moved.save(tmp_path / "map")
     again = FieldMap.load(tmp_path / "map")
     np.testing.assert_array_equal(again.knows(transform_points(points, T)), boxed.knows(points))
-
-
-def test_a_box_inside_out_is_refused():
-    with pytest.raises(ConfigurationError, match="x0 < x1"):
-        FieldConfig(prior="spline", domain=(1, 0, 0, 0, 1, 1))

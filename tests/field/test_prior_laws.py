@@ -146,15 +146,6 @@ def test_the_map_turns_and_moves_with_its_survey(name, seed, samples):
     np.testing.assert_allclose(spread, np.trace(expected.covariance(QUERIES), axis1=1, axis2=2), rtol=1e-5)
 
 
-def test_a_map_of_any_prior_is_saved_and_loaded_bit_for_bit(name, tmp_path, samples):
-    built = mapped(Survey(*samples), name)
-    built.save(tmp_path / "room.map")
-    loaded = FieldMap.load(tmp_path / "room.map")
-    assert loaded.hyperparameters == built.hyperparameters
-    np.testing.assert_array_equal(loaded.evaluate(QUERIES, 2).second, built.evaluate(QUERIES, 2).second)
-    np.testing.assert_array_equal(loaded.covariance(QUERIES), built.covariance(QUERIES))
-
-
 def test_numbers_that_are_none_are_refused(name, room):
     points, field = room(n=20)
     field[3, 1] = np.nan

@@ -111,15 +111,6 @@ def test_a_way_outside_the_map_costs_no_more_than_coming_into_it(known):
     np.testing.assert_allclose(inside - usual, [[0.1 * N / 2], [5.0]], atol=1e-9)
 
 
-def test_who_is_not_trusted_keeps_no_more_than_the_cap(known):
-    steps, rng = np.zeros(N, STEP), np.random.default_rng(7)
-    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
-    bank["earlier"], fit["is_known"][-1] = 30.0, 0
-    forget(steps, fit, null, known, OutsidePenalty(0.0, 1, 4.0), bank)
-    assert bank["earlier"][0] > 20
-    assert bank["earlier"][1] == pytest.approx(4.0)
-
-
 def test_a_pose_under_several_drifts_is_one_answer_with_the_evidence_of_all(known):
     steps, fit, null = (
         np.zeros(N, STEP),

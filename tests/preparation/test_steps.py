@@ -97,13 +97,6 @@ def test_readings_that_cancel_are_flagged_without_a_warning():
     assert "hard iron" in check.words
 
 
-def test_a_plausible_field_is_said_to_be_plausible():
-    pytest.importorskip("ppigrf")
-    check = earth_step(np.tile(1.1 * earth_field(MUNICH), (20, 1)), MUNICH)
-    assert check.figures["is_plausible"]
-    assert "plausible" in check.words
-
-
 def test_a_wrong_unit_and_a_tilted_frame_are_said():
     pytest.importorskip("ppigrf")
     field = np.tile(earth_field(MUNICH), (20, 1))
@@ -116,15 +109,6 @@ def test_a_wrong_unit_and_a_tilted_frame_are_said():
 def test_impossible_places_are_refused(wrong):
     with pytest.raises(ConfigurationError, match="expected a"):
         Place(*wrong[:3], date(wrong[3], 1, 1))
-
-
-def test_a_report_is_saved_and_loaded(tmp_path):
-    steps = (StepReport("spikes", "flagged", "3 samples", 3, 3, "samples", {"runs": [[0.0, 1.0]]}),)
-    report = PreparationReport("log.csv", (10, 10), steps, {"n_samples": 4000}, SensorCorrection(), (), "0")
-    report.save(tmp_path / "r.json")
-    loaded = PreparationReport.load(tmp_path / "r.json")
-    assert loaded.to_dict() == report.to_dict()
-    assert "spikes  flagged" in loaded.table()
 
 
 @pytest.mark.parametrize(

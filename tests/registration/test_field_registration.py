@@ -11,7 +11,7 @@ from magmatch.geometry import exp_se3, random_transform, transform_error
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
-from magmatch.registration.search.invariant_search import InvariantSearchConfig, invariant_search
+from magmatch.registration.search.invariant_search import InvariantSearchConfig
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.evidence import weigh_pose
 
@@ -54,22 +54,6 @@ def prepared_pair(make_exact_pair):
 
 def error(T, T_true, target):
     return transform_error(T, T_true, target.samples.mean(axis=0))
-
-
-def test_search_finds_a_random_pose_without_a_guess(prepared_pair):
-    base, target, T_true = prepared_pair
-    found = invariant_search(base, target, FLAT, FEW, np.random.default_rng(0))
-    distance, angle = error(found.poses[0], T_true, target)
-    assert distance < 0.02
-    assert angle < np.radians(1)
-
-
-def test_search_is_deterministic(prepared_pair):
-    base, target, _ = prepared_pair
-    one, two = (
-        invariant_search(base, target, FLAT, FEW, np.random.default_rng(7)).poses[0].as_matrix() for _ in range(2)
-    )
-    np.testing.assert_array_equal(one, two)
 
 
 def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):

@@ -151,7 +151,3 @@ def test_the_likelier_model_of_the_sensors_is_taken(pair, raw, as_given, calibra
     (chosen,) = better_supported((first,), (second,), sides)
     assert (chosen is first) == (taken == "as given")
     assert in_words(chosen.sensor) == ({} if chosen is first else {"target": "clock +10 ms"})
-
-
-def test_published_method_takes_surveys_as_they_are():
-    assert not PRESETS["paper"].calibrate

@@ -15,7 +15,7 @@ from magmatch.simulation.scenarios import ROBOT_HEIGHT, SCENARIOS, build_scene
 from magmatch.simulation.scene import Streams
 from magmatch.simulation.simulate import simulate
 
-SETTINGS = settings(deadline=None, max_examples=10)
+SETTINGS = settings(deadline=None, max_examples=4)
 SAME_PLACE = sorted(set(SCENARIOS) - {"nowhere"})
 ROOMS = ("office", "office-x30", "office-random", "office-overlap", "planar", "nowhere")
 
@@ -149,19 +149,9 @@ def test_moved_sources_change_the_target_only():
     assert not scene_of("office", 1, moved_sources=0.9).accept
 
 
-def test_unknown_scenario_lists_those_there_are():
-    with pytest.raises(ConfigurationError, match=r"no scenario 'oficce'.*office.*corridor.*uniform"):
-        simulate("oficce")
-
-
 def test_first_pose_without_a_path_is_refused():
     with pytest.raises(ConfigurationError, match="needs a scenario whose target is a path"):
         simulate("office", config=SimulationConfig(target_frame="first_pose"))
-
-
-def test_negative_seed_is_refused():
-    with pytest.raises(ConfigurationError, match="must not be negative, got -1"):
-        simulate("office", -1)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, np.pi])

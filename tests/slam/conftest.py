@@ -5,16 +5,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from drifting import GIVEN, Place, drifting_walk
+from drifting import Place, drifting_walk, give_numbers
 from magmatch.slam.run import slam
-from magmatch.slam.session import Session
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _numbers_are_given():
     """Maps of sessions are made at once; that their numbers are chosen, the tests of the command show."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(Session.map.__globals__, "SPLINE", GIVEN)
+        give_numbers(patch)
         yield
 
 

@@ -232,13 +232,6 @@ def test_a_pass_closes_with_a_window_once(three):
         assert LoopCloser(places, Runner()).close(path, candidates) == 0
 
 
-def test_samples_that_follow_no_path_are_refused_before_any_work():
-    rng = np.random.default_rng(0)
-    survey = mm.Survey(rng.uniform(0, 3, (1000, 3)), 1e-6 * rng.normal(size=(1000, 3)), name="room.csv")
-    with pytest.raises(SurveyError, match=r"room\.csv: its samples follow no path.*merge"):
-        mm.slam(survey)
-
-
 def test_what_is_no_log_is_refused_in_one_sentence(lone):
     with pytest.raises(SurveyError, match="holds the same samples as walk"):
         mm.slam([lone.log, lone.log])

@@ -45,12 +45,6 @@ def test_links_and_keypoints_are_hidden_until_asked_for(pair):
         assert all(trace.marker.size < 4 for trace in figure.data if trace.visible is None)
 
 
-def test_cuts_have_one_size(pair):
-    figures = slice_figures(pair.base_map, pair.target_map, pair.accepted)
-    ((x, y, shape),) = {(f.layout.xaxis.range, f.layout.yaxis.range, f.layout.meta["shape"]) for f in figures}
-    assert shape == pytest.approx((y[1] - y[0]) / (x[1] - x[0]))
-
-
 def test_a_refused_pose_is_called_so(pair):
     after = scene_figures(pair.base, pair.target, pair.refused)[1]
     assert "NOT accepted" in after.layout.title.text

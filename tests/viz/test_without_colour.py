@@ -84,13 +84,3 @@ def test_no_series_is_told_by_hue_alone(pair):
         named = [trace for trace in figure.data if trace.name and trace.showlegend is not False]
         looks = [look(trace) for trace in named]
         assert len(set(looks)) == len(looks), figure.layout.title.text
-
-
-def test_a_verdict_is_told_by_words_and_a_mark_not_by_its_colour(pair, tmp_path):
-    from magmatch.viz.pages.registration_page import write_report
-
-    for name, result, mark in (("a", pair.accepted, "&#10004;"), ("r", pair.refused, "&#10008;")):
-        write_report(tmp_path / f"{name}.html", None, None, result)
-        page = (tmp_path / f"{name}.html").read_text()
-        assert mark in page
-        assert ("Not accepted" in page) != result.is_accepted

@@ -92,14 +92,6 @@ def test_length_unit_only_scales_the_positions(unit, tmp_path):
     np.testing.assert_array_equal(read_survey_csv(path, layout).field, NUMBERS[:, 3:])
 
 
-def test_sensor_vectors_are_turned_into_the_survey_frame(room, tmp_path):
-    path = tmp_path / "sensor.csv"
-    seen = room.orientations.inv().apply(room.field)
-    Survey(room.positions, seen, room.times, room.orientations).save(path)
-    survey = read_survey(path, SurveyFormat(field_frame="sensor"))
-    np.testing.assert_allclose(survey.field, room.field, atol=1e-18)
-
-
 def test_sensor_vectors_without_orientations_are_refused(tmp_path):
     path = write(tmp_path / "survey.csv", PLAIN)
     with pytest.raises(DataFormatError, match="'sensor' needs orientations"):
@@ -169,28 +161,6 @@ def test_two_surveys_in_one_file_are_refused_by_line(room, tmp_path):
         with pytest.raises(DataFormatError) as caught:
             read_survey(tmp_path / "both.csv")
         assert words in str(caught.value).replace("'", "")
-
-
-def test_accuracy_of_the_positions_may_be_given_from_outside(room, tmp_path):
-    path = tmp_path / "room.csv"
-    Survey(room.positions, room.field, pose_sd=0.05).save(path)
-    assert read_survey(path).pose_sd == 0.05
-    assert read_survey(path, SurveyFormat(pose_sd=0.2)).pose_sd == 0.2
-
-
-def test_failed_save_leaves_the_old_file(room, tmp_path, monkeypatch):
-    path = tmp_path / "room.csv"
-    room.save(path)
-    before = path.read_bytes()
-
-    def until_the_disk_is_full(_column):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("magmatch.data.tables.table.exact", until_the_disk_is_full)
-    with pytest.raises(OSError, match="No space left"):
-        room.save(path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def about_z(angle):
@@ -266,27 +236,6 @@ def test_poses_interpolated_across_a_gap_are_said(log, caplog, tmp_path):
     with caplog.at_level(logging.WARNING):
         read_survey(path, SurveyFormat(trajectory=tmp_path / "gap.tum"))
     assert "20 samples lie in gaps of the trajectory longer than 1 s" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [(b"\x89PNG\r\n\x1a\n", "PNG picture"), (b'{"schema": "magmatch.registration/1"}', "a registration file")],
-)
-def test_trajectory_that_is_another_kind_of_file_is_named(log, tmp_path, content, words):
-    path, _, b_survey = log
-    write_log(path, np.arange(20.0), np.tile(b_survey, (20, 1)))
-    with pytest.raises(DataFormatError, match=words):
-        read_survey(path, SurveyFormat(trajectory=write(tmp_path / "poses.tum", content)))
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_line_ends_of_any_system_are_the_same_survey(end, room, tmp_path):
-    room.save(tmp_path / "whole.csv")
-    text = (tmp_path / "whole.csv").read_text()
-    (tmp_path / "room.csv").write_bytes("\ufeff".encode() + text.replace("\n", end).encode())
-    survey = read_survey(tmp_path / "room.csv")
-    np.testing.assert_array_equal(survey.field, room.field)
-    np.testing.assert_array_equal(survey.times, room.times)
 
 
 def test_a_minus_in_columns_reverses_what_is_read_and_columns_may_be_swapped(tmp_path):

@@ -23,12 +23,6 @@ def sensor_logger(start_ns=1_700_000_000_000_000_000):
     return "\n".join(["time,seconds_elapsed,z,y,x", *rows, ""])
 
 
-def phyphox(mark=","):
-    names = ["Time (s)", *(f"Magnetic field {axis} (µT)" for axis in "xyz"), "Absolute field (µT)"]
-    rows = [mark.join(map(repr, [0.01 * i, *v, float(np.linalg.norm(v))])) for i, v in enumerate(FIELD_UT.tolist())]
-    return "\n".join([mark.join(f'"{name}"' for name in names), *rows, ""])
-
-
 @pytest.fixture
 def poses(tmp_path):
     """Walks along x at 1 m/s without turning, on either clock."""

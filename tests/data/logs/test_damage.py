@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.logs.open import open_log
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError, MagmatchError
 
@@ -59,6 +58,12 @@ def test_a_bag_whose_recorder_was_killed_is_to_be_reindexed(made, flight, tmp_pa
     assert "Bag is not indexed" in names_the_tool(path, refusal)
 
 
+def test_a_bag_of_an_old_version_is_to_be_migrated(tmp_path, refusal):
+    (tmp_path / "log.bag").write_bytes(b"#ROSBAG V1.2\n" + bytes(99))
+    words = "expected a bag of version 2.0, found '#ROSBAG V1.2' (rosbag migrates it)"
+    assert words in refusal(tmp_path / "log.bag")
+
+
 @pytest.fixture
 def database(made, flight, tmp_path):
     return made.ros2(tmp_path / "bag", flight.series) / "bag.db3"
@@ -89,15 +94,6 @@ def test_what_the_recorder_left_in_a_journal_is_read(database, tmp_path):
         shutil.copy(database.parent / name, tmp_path / "killed" / name)
     writer.close()
     np.testing.assert_array_equal(read_survey(tmp_path / "killed" / "bag.db3").field, expected.field)
-
-
-def test_a_missing_file_of_a_split_bag_is_named(made, flight, tmp_path, refusal):
-    folder = made.ros2(tmp_path / "bag", flight.series)
-    path = folder / "metadata.yaml"
-    path.write_text(path.read_text().replace("- bag.db3", "- bag.db3\n  - bag_1.db3", 1))
-    words = refusal(folder, recover=True)
-    assert "'bag_1.db3', which is not in the folder" in words
-    assert "'ros2 bag reindex'" in words
 
 
 def test_an_index_that_lacks_messages_is_not_believed(made, flight, tmp_path):
@@ -134,11 +130,3 @@ def test_tables_that_compute_are_never_asked(tmp_path):
     database.close()
     with pytest.raises(MagmatchError, match="without table messages"):
         read_survey(path)
-
-
-def test_a_log_is_closed_however_it_is_refused(made, flight, tmp_path):
-    for name in ("ROS 1 bag", "MCAP of ROS 2"):
-        path = made.WRITERS[name](tmp_path, flight.series)
-        path.write_bytes(path.read_bytes()[:5000])
-        with pytest.raises(DataFormatError):
-            open_log(path)

@@ -3,7 +3,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
@@ -42,16 +41,3 @@ def test_every_container_gives_the_survey_of_the_csv_bit_for_bit(name, made, fli
     same(survey, as_csv)
     assert survey.frame == "map"
     assert len(survey) == 300
-
-
-def test_field_is_turned_by_the_interpolated_orientation(made, flight, tmp_path):
-    survey = read_survey(made.WRITERS["MCAP of ROS 2"](tmp_path, flight.series))
-    t, k = survey.times[100], np.searchsorted(flight.trajectory().times, survey.times[100]) - 1
-    poses = flight.trajectory()
-    a = (t - poses.times[k]) / (poses.times[k + 1] - poses.times[k])
-    step = (poses.orientations[k].inv() * poses.orientations[k + 1]).as_rotvec()
-    R = poses.orientations[k] * Rotation.from_rotvec(a * step)
-    np.testing.assert_allclose(survey.field[100], R.apply(flight.mag[100]), rtol=1e-12)
-    np.testing.assert_allclose(
-        survey.positions[100], (1 - a) * poses.positions[k] + a * poses.positions[k + 1], rtol=1e-12
-    )

@@ -43,10 +43,7 @@ def file_of(*records):
 
 
 TOPICS = schema(1, MAG) + schema(2, ODOM) + channel(1, 1, "/mag") + channel(2, 2, "/odom")
-CDR = b"\0\1\0\0"
 MENDED = "mcap recover mends it"
-STAMP = struct.pack("<iI", 5, 0)
-GOOD_FIELD = CDR + STAMP + text("m\0") + bytes(2) + struct.pack("<3d", 2e-5, 0, 0) + bytes(72)
 
 
 def mcap_with(payload, encoding="cdr", name=MAG):
@@ -62,33 +59,19 @@ def json_field(stamp=None, frame="", **axes):
 
 MCAPS = {
     "signature alone": (lambda: MAGIC, MENDED),
-    "two signatures": (lambda: MAGIC + MAGIC, MENDED),
     "no topics": (file_of, "expected a field topic"),
     "topics without messages": (lambda: file_of(TOPICS), "holds no messages"),
-    "a record of exabytes": (lambda: MAGIC + struct.pack("<BQ", 5, 1 << 62) + MAGIC, MENDED),
     "a chunk that declares terabytes": (lambda: file_of(TOPICS, chunk(b"x" * 50, "zstd", 1 << 40)), MENDED),
     "a checksum that does not fit": (lambda: file_of(TOPICS, chunk(TOPICS, crc=1)), "crc validation failed in Chunk"),
-    "zstd that is none": (lambda: file_of(TOPICS, chunk(b"x" * 50, "zstd", 100)), MENDED),
-    "a message too short for its head": (lambda: file_of(TOPICS, chunk(record(5, b"xx"))), MENDED),
     "a channel without schema": (lambda: file_of(channel(1, 9, "/mag")), "schema 9, which is nowhere defined"),
     "a message without channel": (lambda: file_of(TOPICS, message(7, b"")), "channel 7, which is nowhere defined"),
-    "a name of gigabytes": (lambda: file_of(record(3, b"\1\0" + struct.pack("<I", 1 << 31))), MENDED),
     "a time beyond all calendars": (lambda: file_of(TOPICS, message(1, b"", (1 << 64) - 1)), "of the year 2554"),
     "protobuf": (lambda: mcap_with(b"x", "protobuf"), "encoded as 'protobuf', expected ros1, cdr, json"),
     "no payload": (lambda: mcap_with(b""), "/mag, message 0: is cut off or damaged"),
-    "a frame of gigabytes": (lambda: mcap_with(CDR + STAMP + b"\xff\xff\xff\x7f"), "string length 2147483647"),
-    "half a field": (lambda: mcap_with(GOOD_FIELD[:-80]), "/mag, message 0: is cut off"),
-    "another definition": (
-        lambda: mcap_with(GOOD_FIELD + bytes(8)),
-        "or of another message definition (CDR message size mismatch",
-    ),
-    "extended CDR": (lambda: mcap_with(b"\0\7" + GOOD_FIELD[2:]), "unsupported CDR"),
     "JSON that is none": (lambda: mcap_with(b"{", "json"), "is not the JSON of such a message"),
     "JSON without a header": (lambda: mcap_with(b'{"magnetic_field": {}}', "json"), "no attribute 'header'"),
-    "JSON of words": (lambda: mcap_with(json_field(x="a"), "json"), "could not convert"),
     "JSON without a number": (lambda: mcap_with(json_field(x=None), "json"), "holds NaN or infinity"),
     "JSON whose stamp is none": (lambda: mcap_with(json_field({"foo": 1}), "json"), "(KeyError: 'sec')"),
-    "JSON whose stamp is half": (lambda: mcap_with(json_field({"secs": 1}), "json"), "(KeyError: 'nanosec')"),
     "JSON of a time beyond all": (lambda: mcap_with(json_field({"sec": 1e20, "nsec": 1}), "json"), "OverflowError"),
 }
 

@@ -95,16 +95,16 @@ def test_files_of_a_split_bag_may_be_listed_by_name(is_listed, made, flight, tmp
     mag, odom = flight.series
     expected = read_survey(made.ros2(tmp_path / "whole", [mag, odom]))
     folder, names = tmp_path / "walk", []
-    for k in range(11):
+    for k, number in enumerate((0, 2, 10)):
         part = [
             made.replace(s, log_ns=s.log_ns[rows], stamp_ns=None, values=s.values[rows])
             for s in (mag, odom)
-            for rows in [slice(k * len(s.log_ns) // 11, (k + 1) * len(s.log_ns) // 11)]
+            for rows in [slice(k * len(s.log_ns) // 3, (k + 1) * len(s.log_ns) // 3)]
         ]
         piece = made.ros2(folder if k == 0 else tmp_path / f"walk{k}", part)
         (file,) = piece.glob("*.db3")
-        file.rename(folder / f"walk_{k}.db3")
-        names.append(f"walk_{k}.db3")
+        file.rename(folder / f"walk_{number}.db3")
+        names.append(f"walk_{number}.db3")
     about = yaml.safe_load((folder / "metadata.yaml").read_text())
     about["rosbag2_bagfile_information"]["relative_file_paths"] = sorted(names)
     (folder / "metadata.yaml").write_text(yaml.safe_dump(about))

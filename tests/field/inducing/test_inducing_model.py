@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.inducing.gaussian_grid import GaussianGrid, InducingGrid
-from magmatch.field.inducing.inducing_model import InducingModel, dense_prior, gram_factor
+from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.inducing_prior import InducingPrior
 from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
 from magmatch.field.priors import PRIORS
@@ -145,8 +145,3 @@ def test_subtracting_more_than_was_added_is_refused_with_the_eigenvalue(model, s
     less = model.observe(points[:10], field[:10]) - model.observe(points, field)
     with pytest.raises(ValueError, match=r"posterior precision is not positive definite .* eigenvalue -"):
         model.infer(less)
-
-
-def test_a_covariance_that_cannot_be_factored_is_refused_with_its_eigenvalue_in_units_of_the_variance():
-    with pytest.raises(ValueError, match=r"smallest eigenvalue -1\.0e\+00 of the variance"):
-        gram_factor(1e-12 * np.array([[1.0, 2.0], [2.0, 1.0]]), 1e-9)

@@ -72,9 +72,3 @@ def test_prior_of_field_and_gradient_is_that_of_finite_differences():
 def test_impossible_kernel_is_refused(length, sd):
     with pytest.raises(ValueError, match="expected positive lengthscale and signal_sd"):
         DivergenceFreeKernel(length, sd)
-
-
-def test_impossible_order_is_refused():
-    kernel = DivergenceFreeKernel(1.0, 1.0)
-    with pytest.raises(ValueError, match="expected order 0"):
-        kernel.covariance(np.zeros((1, 3)), np.zeros((1, 3)), 3)

@@ -13,9 +13,8 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.tiles.region_model import TiledModel
-from magmatch.field.tiles.tile_fit import FitError, TileCache
+from magmatch.field.tiles.tile_fit import TileCache
 from magmatch.field.tiles.tiled_draws import normals
-from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.threads import one_blas_thread
 
@@ -195,16 +194,6 @@ def test_far_away_and_nowhere_the_prior_answers(fitted):
     assert not posterior.knows(far).any()
     sd = np.sqrt(np.diagonal(posterior.covariance(far, 1), axis1=1, axis2=2))
     assert np.all(sd[:, :3] >= H.signal_sd)
-
-
-def test_weights_of_another_fit_are_refused(fitted):
-    _, posterior, x, _ = fitted
-    wrong = TiledPosterior(posterior.tasks, [w + 1e-6 for w in posterior.tile_weights])
-    assert np.isfinite(wrong.evaluate(x).field).all()
-    with pytest.raises(FitError, match="gives another field"):
-        wrong.covariance(x[:3])
-    with pytest.raises(FitError, match="5 weights are stored"):
-        replace(posterior, tile_weights=[np.zeros(5)] * len(posterior.tiles)).evaluate(x)
 
 
 def test_large_regions_are_tiled_and_small_ones_not():

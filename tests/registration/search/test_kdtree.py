@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
 
 from magmatch.registration.search.kdtree import NeighbourTree
 
@@ -38,13 +37,6 @@ def test_each_node_divides_its_points_into_halves_along_their_widest_axis_and_eq
         assert max(keys[: middle - low]) < min(keys[middle - low :])
         assert value == min(keys[middle - low :])[0]
         bounds += [(low, middle), (middle, high)]
-
-
-def test_neighbours_are_those_of_scipy_on_many_points():
-    rng = np.random.default_rng(1)
-    points, targets = rng.standard_normal((20_000, 7)).astype(np.float32), rng.standard_normal((50, 7))
-    expected = cKDTree(points).query(targets.astype(np.float32), 8)[1]
-    np.testing.assert_array_equal(NeighbourTree.of(points).query(targets, 8)[0], expected)
 
 
 def test_more_neighbours_than_points_are_refused():

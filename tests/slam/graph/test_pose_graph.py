@@ -265,22 +265,6 @@ def test_the_first_node_of_a_component_stays_where_it_was(config):
     np.testing.assert_allclose(graph.R[12:], np.tile(T.rotation.inv().as_matrix(), (12, 1, 1)), atol=0.02)
 
 
-def test_a_closure_that_lost_its_weight_connects_no_logs():
-    graph = graph_of(ring(8), logs=np.repeat([0, 1], 4))
-    graph.closures = [replace(between(graph.p, 1, 5), weight=0.2)]
-    assert graph.component().tolist() == [0] * 4 + [1] * 4
-    graph.closures = [replace(graph.closures[0], weight=0.9)]
-    assert graph.component().tolist() == [0] * 8
-
-
-def test_odometry_alone_leaves_every_node_where_it_was():
-    graph = graph_of(ring(8))
-    solve(graph)
-    np.testing.assert_allclose(graph.p, ring(8), atol=1e-9)
-    sd = [np.sqrt(np.trace(C[3:, 3:])) for C in graph.relative_covariances(np.arange(0, 7), 7)]
-    assert (np.diff(sd) < 0).all()  # the farther apart along the path, the less is known
-
-
 def test_no_odometry_config_makes_the_numbers_infinite():
     config = SlamConfig(odometry=OdometryConfig(sd=(0.0, 0.0), scale_sd=0.0, turn_share=0.0))
     graph = graph_of(ring(8), config)
