@@ -109,7 +109,7 @@ def work(name, data, out):
     n_stated, n_late = 0, 0
     for n, t in enumerate(log.times):
         localizer.update(float(t), poses[n], z[n])
-        belief = localizer.maps.best
+        belief = localizer._maps.best
         n_stated += belief.is_sure
         n_late += belief.is_sure and walked[n] > LATE
         if walked[n] < asked + EVERY:

@@ -14,7 +14,9 @@ from magmatch.cli.localize import tell
 from magmatch.errors import DataFormatError
 from magmatch.field.config import SPLINE
 from magmatch.localization.belief import Belief
-from magmatch.localization.known_places import KnownPlaces
+from magmatch.localization.kept_state import KINDS, SCHEMA, restored, state_of
+from magmatch.localization.known_places import KnownPlaces, NotReadyError
+from magmatch.store import dumps, loads
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +148,17 @@ def test_a_map_that_was_replaced_is_not_taken_for_the_one_that_was_indexed(folde
     update(localizer, log, range(len(log)))
     assert not localizer.estimate().is_stated
     aside.shutdown()
+
+
+def test_a_state_is_resumed_once_its_maps_are_ready(folder):
+    log, _ = drifting_walk(Place(41), 51, laps=1.2, start=1.0)
+    config = mm.LocalizerConfig(is_planar=True)
+    one = mm.Localizer(KnownPlaces(mm.open_atlas(folder)), config)
+    update(one, log, range(len(log)))
+    aside = Aside()
+    known, state = KnownPlaces(mm.open_atlas(folder), aside), dumps(SCHEMA, state_of(one))
+    with pytest.raises(NotReadyError):
+        restored(known, config, loads(state, SCHEMA, KINDS))
+    aside.work()
+    again = restored(known, config, loads(state, SCHEMA, KINDS)).estimate()
+    np.testing.assert_array_equal(again.matrix, one.estimate().matrix)

@@ -82,7 +82,7 @@ def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it
     )
     for n in range(60):
         localizer.update(log.times[n], poses[n], z[n])
-    belief, usual = localizer.maps.best, model_of(known, mm.LocalizerConfig())
+    belief, usual = localizer._maps.best, model_of(known, mm.LocalizerConfig())
     worse = {k: 4 * getattr(usual, k) for k in ("misfit_variance", "map_factor2", "nugget_variance")}
     a, b = (belief._bank[:1].copy() for _ in range(2))
     sizes = []

@@ -12,11 +12,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from websockets.exceptions import ConnectionClosed
 
+from magmatch.localization.kept_state import KINDS
 from magmatch.localization.known_places import KnownPlaces, open_place
 from magmatch.localization.localizer import Localizer
 from magmatch.store import load
 from magmatch_serve.bodies.body import SCHEMA
-from magmatch_serve.bodies.kept_state import KINDS
 from magmatch_serve.messages import read_pose
 from magmatch_serve.replay import replay
 from serving import client, packed, samples, serving, wait_until

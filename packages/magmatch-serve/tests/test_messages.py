@@ -11,16 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch_serve.messages import (
-    POSE,
-    SAMPLE,
-    read_hello,
-    read_pose,
-    read_samples,
-    unit_rows,
-    write_pose,
-    write_sample,
-)
+from magmatch_serve.messages import POSE, SAMPLE, read_hello, read_pose, read_samples, write_pose, write_sample
 from magmatch_serve.refusals import RefusedError
 
 NUMBERS = st.floats(-1e3, 1e3)
@@ -55,15 +46,6 @@ def test_any_message_is_finite_samples_or_a_refusal(message):
     assert np.isfinite(rows).all()
     assert rows.shape[1] == 11
     np.testing.assert_allclose(np.linalg.norm(rows[:, 4:8], axis=1), 1)
-
-
-def test_rows_are_fine_up_to_the_first_that_is_none():
-    rows = np.tile([0.0, 1, 2, 3, 0, 0, 0, 2, 0, 0, 5e-5], (4, 1))
-    assert unit_rows(rows[:0], 1.0) == 0
-    rows[2, 9] = np.nan
-    assert unit_rows(rows, 1.0) == 2
-    assert unit_rows(rows[3:], 0.5) == 0
-    np.testing.assert_array_equal(rows[:, 7], [1, 1, 2, 2])
 
 
 @settings(max_examples=100, deadline=None)

@@ -63,8 +63,8 @@ class Belief:
         self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
-        self.null = UnrelatedFields(known, self._model, config)
-        self._window, self._bank = LatestBins.of(len(self.null)), hypotheses(0)
+        self._null = UnrelatedFields(known, self._model, config)
+        self._window, self._bank = LatestBins.of(len(self._null)), hypotheses(0)
         self._weighed: list[WeighedHypothesis] = []
         self._found = NOTHING
         self._words = self._why()
@@ -89,7 +89,7 @@ class Belief:
             self._trail = [*self._trail, self._bank[:1].copy()][-self._recent :]
         steps = window.steps[-1:]
         follow(self._bank, self._known, self._model, steps, window.fit[-1:], moves_first=True)
-        self.null.follow(steps, window.null[-1:])
+        self._null.follow(steps, window.null[-1:])
 
     def _forget_first(self) -> None:
         """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
@@ -128,7 +128,7 @@ class Belief:
         self._bank["earlier"] = np.minimum(self._bank["earlier"], self._most_earlier)
         last = max(len(window) - recent, 0)
         self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
-        window.null = self.null.begin_anew(window.steps[self._since :], window.null)
+        window.null = self._null.begin_anew(window.steps[self._since :], window.null)
         self._join(*self._with_another_bias(recent))
         self.is_sure, self.searched_at, self._trail, self._stood = False, -np.inf, [], np.nan
 

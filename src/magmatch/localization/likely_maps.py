@@ -28,9 +28,9 @@ class LikelyMaps:
     """The belief in each likely map."""
 
     def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
-        self.config, self._atlas, self.known = config, known.atlas, known
-        self.bins: list[Bin] = []
-        self.n_until_vote = round(config.min_window / BIN_LENGTH)
+        self._config, self._atlas, self.known = config, known.atlas, known
+        self._bins: list[Bin] = []
+        self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
         self._voting: Future[Scalars] | None = None
         self._awaited: list[AtlasEntry] = []
@@ -54,7 +54,7 @@ class LikelyMaps:
         for belief in self.likely.values():
             belief.follow(done)
         if self._atlas is not None:
-            self.bins = [*self.bins, done][-round(self.config.window / BIN_LENGTH) :]
+            self._bins = [*self._bins, done][-round(self._config.window / BIN_LENGTH) :]
             if self._is_sure:
                 # It is in one map: of the others those remain that its path supports, and none is searched.
                 self._keep_likely()
@@ -87,16 +87,16 @@ class LikelyMaps:
     def probabilities(self) -> dict[str, float]:
         """Give the probability of each likely map, most likely first; what is left is that the body is in none."""
         ranked = sorted(self.likely.values(), key=lambda belief: -belief.total_odds)
-        terms = np.array([*(belief.total_odds for belief in ranked), -np.log(self.config.decision.prior_odds)])
+        terms = np.array([*(belief.total_odds for belief in ranked), -np.log(self._config.decision.prior_odds)])
         shares = np.exp(terms - np.logaddexp.reduce(terms)).tolist()
         return {belief.name: share for belief, share in zip(ranked, shares, strict=False)}
 
     def _vote(self, atlas: Atlas) -> None:
         """Vote for maps from time to time; beliefs in maps that are no longer likely are dropped."""
-        self.n_until_vote -= 1
-        if self.n_until_vote <= 0 and self._voting is None:
-            self.n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
-            p, b = (np.stack(rows) for rows in zip(*((one.p, one.R @ one.z) for one in self.bins), strict=True))
+        self._n_until_vote -= 1
+        if self._n_until_vote <= 0 and self._voting is None:
+            self._n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
+            p, b = (np.stack(rows) for rows in zip(*((one.p, one.R @ one.z) for one in self._bins), strict=True))
             tables = [entry.table for entry in atlas.entries]
             self._voting = self.known.aside(count_votes, tables, Survey(p, b), atlas.config.walks.search, 0)
         if self._voting is None or not self._voting.done():
@@ -119,7 +119,7 @@ class LikelyMaps:
                 self._awaited.remove(entry)
                 continue
             if known is not None:
-                self.likely[entry] = Belief(known, self.config)
-                for one in self.bins:
+                self.likely[entry] = Belief(known, self._config)
+                for one in self._bins:
                     self.likely[entry].follow(one)
         self._awaited = [entry for entry in self._awaited if entry not in self.likely]

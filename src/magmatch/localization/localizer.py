@@ -38,9 +38,9 @@ class Localizer:
         expect_kind(config, "config", (LocalizerConfig,))
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
-            self.maps = LikelyMaps(known, config)
-        self.samples = LastSample()
-        self.binning = Binning(self.maps.bin_length)
+            self._maps = LikelyMaps(known, config)
+        self._samples = LastSample()
+        self._binning = Binning(self._maps.bin_length)
 
     def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
         """Take a sample.
@@ -60,42 +60,42 @@ class Localizer:
             An invalid sample: NaN, a time before the last one, another unit, a jump. The state is unchanged.
         """
         expect_transform(T_odom_body, "T_odom_body")
-        self._follow(self.samples.take(t, T_odom_body.as_matrix(), field))
+        self._follow(self._samples.take(t, T_odom_body.as_matrix(), field))
 
     def update_by_row(self, row: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
-        """Take a sample as a row of `LastSample.take_row`, without creating SciPy objects.
+        """Take a sample as a row of `samples.unit_rows`, without creating SciPy objects.
 
         Asked before each search; one that is not allowed now is due again one bin later.
         """
-        self._follow(self.samples.take_row(row), may_search=may_search)
+        self._follow(self._samples.take_row(row), may_search=may_search)
 
     def _follow(self, sample: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
-        new = self.binning.add(sample)
+        new = self._binning.add(sample)
         if new is None:
             return
-        for belief in self.maps.follow(new):
+        for belief in self._maps.follow(new):
             if belief.is_doubtful():
                 belief.doubt()
-        for belief in self.maps.due():
+        for belief in self._maps.due():
             if may_search():
                 belief.search()
-        self.maps.judge()
+        self._maps.judge()
 
     def estimate(self, *, at_once: bool = False) -> PoseEstimate:
         """Give the present estimate; its ``T_map_body`` is None unless the pose is stated.
 
         ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands.
         """
-        best = self.maps.best
+        best = self._maps.best
         if best is None:
-            return PoseEstimate(LocalizerStatus.SEARCHING, self.maps.why_none)
-        return best.estimate(self.samples.T_odom_body, at_once=at_once)
+            return PoseEstimate(LocalizerStatus.SEARCHING, self._maps.why_none)
+        return best.estimate(self._samples.T_odom_body, at_once=at_once)
 
     def map_probabilities(self) -> dict[str, float]:
         """Give the probability of each likely map, by name; what is left to 1 is that the body is in none of them."""
-        return self.maps.probabilities()
+        return self._maps.probabilities()
 
     def hypotheses(self) -> list[PoseHypothesis]:
         """List the competing hypotheses as of the last bin of the path, most likely first."""
-        found = [one for belief in self.maps.likely.values() for one in belief.hypotheses()]
+        found = [one for belief in self._maps.likely.values() for one in belief.hypotheses()]
         return sorted(found, key=lambda one: -one.probability)

@@ -63,7 +63,7 @@ class LastSample:
         return self.last
 
     def take_row(self, row: np.ndarray) -> np.ndarray:
-        """Do the same with a row of numbers (11,): time, position, unit quaternion x, y, z, w and field."""
+        """Do the same with a row of numbers as `unit_rows` leaves it, (11,)."""
         _read(self.last, row)
         if fault := _take(self.last):
             self._refuse(fault, float(row[0]), row[8:])
@@ -94,6 +94,25 @@ class LastSample:
             msg = f"T_odom_body: expected a step, got a jump of {step}; it counts as none"
             raise OdometryJump(msg)
         raise ValueError(msg)
+
+
+@compiled
+def unit_rows(rows, most_off):  # type: ignore[no-untyped-def]
+    """Bring the quaternions of rows (n, 11) of time, position, quaternion x, y, z, w and field to unit length.
+
+    Gives how many rows are fine: up to one that is not finite, or whose quaternion's length is off by more than told.
+    """
+    for n in range(len(rows)):
+        row = rows[n]
+        norm = np.sqrt(row[4] ** 2 + row[5] ** 2 + row[6] ** 2 + row[7] ** 2)
+        for k in range(11):
+            if not np.isfinite(row[k]):
+                return n
+        if abs(norm - 1) > most_off:
+            return n
+        for k in range(4, 8):
+            row[k] /= norm
+    return len(rows)
 
 
 @compiled

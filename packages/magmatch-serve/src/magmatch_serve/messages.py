@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from magmatch.compiled import compiled
 from magmatch.data.document import adapter_of
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import first_fault
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
+from magmatch.localization.samples import unit_rows
 from magmatch.number_text import told
 from magmatch_serve.refusals import RefusedError
 
@@ -89,25 +89,6 @@ def read_samples(message: str | bytes, most: int) -> np.ndarray:
             words = f"orientation: expected a unit quaternion x, y, z, w, found one of norm {found:.3g}"
         raise RefusedError(422, words)
     return rows
-
-
-@compiled
-def unit_rows(rows, most_off):  # type: ignore[no-untyped-def]
-    """Bring the quaternions of rows (n, 11) of time, position, quaternion x, y, z, w and field to unit length.
-
-    Gives how many rows are fine: up to one that is not finite, or whose quaternion's length is off by more than told.
-    """
-    for n in range(len(rows)):
-        row = rows[n]
-        norm = np.sqrt(row[4] ** 2 + row[5] ** 2 + row[6] ** 2 + row[7] ** 2)
-        for k in range(11):
-            if not np.isfinite(row[k]):
-                return n
-        if abs(norm - 1) > most_off:
-            return n
-        for k in range(4, 8):
-            row[k] /= norm
-    return len(rows)
 
 
 def _binary(message: bytes) -> np.ndarray:

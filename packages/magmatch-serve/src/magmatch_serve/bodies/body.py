@@ -9,10 +9,10 @@ from typing import Any
 
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
+from magmatch.localization.kept_state import KINDS, restored, state_of
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
 from magmatch.store import dumps, loads
-from magmatch_serve.bodies.kept_state import KINDS, restored, state_of
 from magmatch_serve.messages import read_samples, write_pose
 from magmatch_serve.refusals import RefusedError
 

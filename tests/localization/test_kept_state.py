@@ -1,28 +1,20 @@
 """What a localizer knows goes on in another process."""
 
-from concurrent.futures import Future
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.errors import DataFormatError
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.known_places import KnownPlaces, NotReadyError, open_place
+from magmatch.localization.kept_state import KINDS, SCHEMA, restored, state_of
+from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.localizer import Localizer
-from magmatch.registration.index.atlas import open_atlas
 from magmatch.store import dumps, loads
-from magmatch_serve.bodies.kept_state import KINDS, SCHEMA, restored, state_of
 
 
 @pytest.fixture(scope="module")
-def known(hall):
-    return KnownPlaces(open_place(hall.map))
-
-
-@pytest.fixture(scope="module")
-def log(hall):
-    return hall.walk(3, laps=1.5)[0]
+def known(place):
+    return KnownPlaces(place)
 
 
 def samples(log, rows):
@@ -45,8 +37,8 @@ def written(localizer):
 
 
 @pytest.mark.parametrize("cut", [1, 12, 60, 200])
-def test_a_restored_localizer_goes_on_with_the_same_bits(known, log, cut):
-    config = LocalizerConfig()
+def test_a_restored_localizer_goes_on_with_the_same_bits(known, followed, cut):
+    log, config = followed.log, LocalizerConfig()
     one = Localizer(known, config)
     for sample in samples(log, range(cut)):
         one.update(*sample)
@@ -59,10 +51,10 @@ def test_a_restored_localizer_goes_on_with_the_same_bits(known, log, cut):
     assert written(one) == written(other)
 
 
-def test_a_state_is_no_larger_than_it_says_after_a_long_walk(known, log):
+def test_a_state_is_no_larger_than_it_says_after_a_long_walk(known, followed):
     one = Localizer(known)
     sizes = []
-    for k, sample in enumerate(samples(log, range(300))):
+    for k, sample in enumerate(samples(followed.log, range(300))):
         one.update(*sample)
         if k % 100 == 99:
             sizes.append(len(written(one)))
@@ -78,31 +70,11 @@ def test_a_state_of_other_settings_is_refused(known):
         restored(known, LocalizerConfig(), state | {"written_by": [SCHEMA, "0.0"]})
 
 
-class Aside:
-    """A loader that works when it is told to."""
-
-    def __init__(self):
-        self.waiting = []
-
-    def submit(self, do, *arguments):
-        self.waiting.append((future := Future(), do, arguments))
-        return future
-
-    def work(self):
-        for future, do, arguments in self.waiting:
-            future.set_result(do(*arguments))
-        self.waiting.clear()
-
-
-def test_a_state_is_resumed_once_its_maps_are_ready(hall, log):
-    config = LocalizerConfig()
-    one = Localizer(KnownPlaces(open_atlas(hall.folder)), config)
-    for sample in samples(log, range(len(log))):
+def test_hypotheses_are_the_estimate_s(known, followed):
+    one = Localizer(known)
+    for sample in samples(followed.log, range(150)):
         one.update(*sample)
-    aside = Aside()
-    known, state = KnownPlaces(open_atlas(hall.folder), aside), written(one)
-    with pytest.raises(NotReadyError):
-        restored(known, config, loads(state, SCHEMA, KINDS))
-    aside.work()
-    again = restored(known, config, loads(state, SCHEMA, KINDS)).estimate()
-    np.testing.assert_array_equal(again.matrix, one.estimate().matrix)
+    now, found = one.estimate(), one.hypotheses()
+    assert found[0].probability == now.probability
+    assert np.linalg.norm(found[0].T_map_body.translation - now.T_map_body.translation) < 0.3
+    assert sum(h.probability for h in found) <= 1 + 1e-9

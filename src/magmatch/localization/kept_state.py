@@ -20,7 +20,7 @@ from magmatch.localization.samples import LastSample
 from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 
 # What a state may consist of, and changes with.
-SCHEMA = "magmatch.localizer/9"
+SCHEMA = "magmatch.localizer/8"
 KINDS = (Answer, Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "_start"}
@@ -28,14 +28,14 @@ MADE_ANEW = {"_known", "_config", "_model", "_start"}
 
 def state_of(localizer: Localizer) -> dict[str, Any]:
     """Give the complete state of a localizer; its arrays are the localizer's own, which it goes on to write into."""
-    maps = localizer.maps
+    maps = localizer._maps
     return {
         "written_by": [SCHEMA, __version__],
         "config": _config_of(localizer),
-        "samples": localizer.samples,
-        "binning": localizer.binning,
-        "bins": maps.bins,
-        "n_until_vote": maps.n_until_vote,
+        "samples": localizer._samples,
+        "binning": localizer._binning,
+        "bins": maps._bins,
+        "n_until_vote": maps._n_until_vote,
         "likely": [
             [None if entry is None else entry.name, maps.known.fingerprint(entry), _belief(belief)]
             for entry, belief in maps.likely.items()
@@ -56,8 +56,8 @@ def restored(
     localizer = Localizer(known, config)
     if state["config"] != _config_of(localizer):
         raise DataFormatError(path, "is of other settings")
-    localizer.samples, localizer.binning, maps = state["samples"], state["binning"], localizer.maps
-    maps.bins, maps.n_until_vote, maps.likely = state["bins"], state["n_until_vote"], {}
+    localizer._samples, localizer._binning, maps = state["samples"], state["binning"], localizer._maps
+    maps._bins, maps._n_until_vote, maps.likely = state["bins"], state["n_until_vote"], {}
     entries = {None if entry is None else entry.name: entry for entry in known.entries}
     for name, fingerprint, _ in state["likely"]:
         if name not in entries or known.fingerprint(entries[name]) != fingerprint:
@@ -67,16 +67,16 @@ def restored(
         if one is None:
             raise NotReadyError
         belief = Belief(one, config)
-        vars(belief.null).update(kept.pop("null"))
+        vars(belief._null).update(kept.pop("_null"))
         vars(belief).update(kept)
         maps.likely[entries[name]] = belief
     return localizer
 
 
 def _config_of(localizer: Localizer) -> Any:
-    return localizer.maps.config.model_dump(mode="json")
+    return localizer._maps._config.model_dump(mode="json")
 
 
 def _belief(belief: Belief) -> dict[str, Any]:
     kept = {name: value for name, value in vars(belief).items() if name not in MADE_ANEW}
-    return kept | {"null": {name: v for name, v in vars(belief.null).items() if name not in MADE_ANEW}}
+    return kept | {"_null": {name: v for name, v in vars(belief._null).items() if name not in MADE_ANEW}}
