@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.errors import DataFormatError, SurveyError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.live.estimator import SCHEMA, FieldEstimator
-from magmatch.field.live.live_cells import KEPT_PER_CELL, N_SUMS, MeasuredCells
+from magmatch.field.live.live_cells import COUNT, KEPT_PER_CELL, N_SUMS, MeasuredCells
 from magmatch.field.map import FieldMap
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import CONSTANT_SD
@@ -291,6 +291,8 @@ CRAFTED = {
     "half a cell": lambda c, m: replaced(m, cells=m.cells + 0.5),
     "other columns": lambda c, m: replaced(m, sums=np.zeros((len(m.sums), N_SUMS - 1))),
     "NaN": lambda c, m: replaced(m, squares=np.full((3, 3), np.nan)),
+    "half a sample": lambda c, m: replaced(m, sums=m.sums + 0.5 * (np.arange(N_SUMS) == COUNT)),
+    "a count that is none": lambda c, m: replaced(m, sums=m.sums * (np.arange(N_SUMS) != COUNT)),
     "no total": lambda c, m: replaced(m, total=None),
     "an unknown class": lambda c, m: {"measured": H},
 }

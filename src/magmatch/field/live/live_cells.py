@@ -41,6 +41,9 @@ class MeasuredCells:
             if array.shape != shape or array.dtype != kind or not np.isfinite(array).all():
                 msg = f"entry '{name}': expected finite numbers of shape {shape}, got {array.dtype} of {array.shape}"
                 raise ValueError(msg)
+        if (self.sums[:, COUNT] < 1).any() or (self.sums[:, COUNT] % 1).any():
+            msg = "entry 'sums': expected a count of samples in each row"
+            raise ValueError(msg)
 
 
 class Block:
