@@ -58,7 +58,7 @@ class ChangeSearch:
         rows, agreement, _, n_cells = self._agreement(pose)
         if len(rows) == n_cells:
             return None
-        left_out = Change(np.zeros_like(self.target.sample_field), rows, len(rows) / n_cells, agreement)
+        left_out = Change(None, rows, len(rows) / n_cells, agreement)
         return weigh_pose(self.base, self.target, pose, self.nulls, self.prior, left_out)
 
     def _agreement(

@@ -73,7 +73,9 @@ class PoseEvidence:
 class Change:
     """The change of the field between two surveys, under one pose."""
 
-    field: Vectors  # (n, 3), T: the target's field minus the base's at the target's samples, target's model frame
+    # (n, 3), T: the target's field minus the base's at the target's samples, target's model frame; None where nothing
+    # is said of what changed, but that it is in the other cells
+    field: Vectors | None
     rows: Indices  # (r,) ints: cells that are used; in the others too much has changed
     unchanged: float  # these as a share of the overlap's cells
     # nats: log-likelihood ratio of 'the base with this change' to 'an independent field' for these cells, minus the
@@ -96,7 +98,7 @@ def weigh_pose(
     target's cells are compared: it was estimated from them.
     """
     field = pose.sensor.correct(target.sample_field)
-    if change is not None:
+    if change is not None and change.field is not None:
         field = field - change.field
     null_model = nulls.target
     seen = compare_cells(base, target, pose.T_base_target, field, null_model)
@@ -146,8 +148,9 @@ def weigh_pose(
 
 def _model(pose: RefinedPose, change: Change | None) -> str:
     sensors = f", sensors {pose.log_prior:g}" if pose.log_prior else ""
-    left = "" if change is None else ", changed" if change.field.any() else ", without changed cells"
-    return f"rigid{left}{sensors}"
+    if change is None:
+        return f"rigid{sensors}"
+    return f"rigid, {'without changed cells' if change.field is None else 'changed'}{sensors}"
 
 
 def _search_price(joint: Matrix | None, sensor_sd: np.ndarray, log_prior: float) -> float:
