@@ -98,7 +98,7 @@ def start_covariance(up: Vector3, sd: tuple[float, float], config: LocalizerConf
 
 @inlined
 def transition(v):  # type: ignore[no-untyped-def]
-    """Of a Matern-3/2 process, give how value and slope depend on both a path of rate times length v before.
+    """Give how value and slope of a Matern-3/2 process depend on both a path of rate times length v before.
 
     The slope is over its rate, and of the value's variance; f00, f01, f10, f11.
     """
