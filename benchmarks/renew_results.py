@@ -56,23 +56,23 @@ class Run:
 RUNS = (
     Run(
         ("drifting-corridors",),
-        "experiments/drifting_corridors.py --seeds 40 --first 89620250 --jobs {jobs} --out {out}",
+        "experiments/drifting_corridors.py --seeds 40 --first 162464904 --jobs {jobs} --out {out}",
         14,
     ),
     Run(
         ("short-walks",),
-        "experiments/short_walks.py --tries 200 --seed 120758530 --jobs {jobs} --from {data} --out {out}",
+        "experiments/short_walks.py --tries 200 --seed 155556691 --jobs {jobs} --from {data} --out {out}",
         4,
     ),
     Run(
         ("many-buildings",),
-        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 128032500 --from {data}",
+        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 134137712 --from {data}",
         12,
     ),
     Run(
         ("many-rooms", "different-places"),
-        "experiments/many_rooms.py --first 98400800 --rooms 100 --pairs 3000 --jobs {jobs} --out {out}",
-        35,
+        "experiments/many_rooms.py --first 188920970 --rooms 50 --pairs 2000 --jobs {jobs} --out {out}",
+        28,
         "--save {0} --save-pairs {1}",
     ),
     Run(("newcomers",), "experiments/newcomers.py --minutes 12 --jobs {jobs} --data {data} --out {out}", 13),
@@ -83,14 +83,14 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 133163920 --seeds 2 --minutes 12 --jobs {jobs} --out {out}",
+        "experiments/slam_scenarios.py --first 165268575 --seeds 2 --minutes 12 --jobs {jobs} --out {out}",
         13,
     ),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
-        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 20 --first 119595230 "
+        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 10 --first 170474126 "
         "--jobs {jobs} --from {data} --out {out}",
-        40,
+        24,
         "--save",
     ),
     Run(("faults",), "faults.py", 5),

@@ -1,11 +1,12 @@
-"""Many rooms at every overlap, and very many pairs of different places: rates that six of a kind cannot show.
+"""Many rooms at every overlap, or with sources moved, and very many pairs of different places.
 
     python benchmarks/experiments/many_rooms.py --out DIR [--first 8000] [--rooms 40] [--pairs 2000] [--jobs 2]
         [--maps FOLDER ...] [--minutes M] [--save NAME] [--save-pairs NAME]
 
 Each room (3 x 3 x 0.6 m, 2,500 samples, 0.4 uT of noise) is surveyed twice in frames that are any SE(3), with the
-target's region covered to 100, 75, 50, 30 and 15 %; each overlap has rooms of its own. Found: within the tolerance
-that the table states. Then maps of different rooms are registered with each other, drawn at random from all made
+target's region covered to 100, 75, 50, 30 and 15 %; in others, of the default size, 10, 20 or 40 % of the sources
+stand elsewhere in the second survey. Each condition has rooms of its own. Found: within the tolerance that the table
+states. Then maps of different rooms are registered with each other, drawn at random from all made
 here and those in ``--maps`` (of `fit_decision.py`: other kinds of rooms, areas of a building, robots'
 runs, uniform fields); every accepted pair is wrong. Maps and rows stay in DIR, a second run goes on where the
 first ended; ``--minutes`` ends each part early, with the table of what there is. Bounds are 95 % (Wilson).
@@ -14,6 +15,7 @@ first ended; ``--minutes`` ends each part early, with the table of what there is
 import os
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import permutations
 from pathlib import Path
@@ -29,10 +31,38 @@ from magmatch_evaluation.script import arguments, kept, pose_error, timed
 from magmatch_evaluation.statistics import wilson_interval
 from magmatch_evaluation.trial import nees_of
 
-# Overlap: tolerance in m and degrees.
-TOLERANCE = {1.0: (0.005, 0.2), 0.75: (0.01, 0.3), 0.5: (0.015, 0.4), 0.3: (0.02, 0.6), 0.15: (0.03, 0.8)}
+
+@dataclass(frozen=True)
+class Condition:
+    """What the rooms of a row have in common."""
+
+    title: str
+    tolerance: tuple[float, float]  # m and degrees
+    settings: dict[str, object]
+
+
+def covered(overlap: float, *tolerance: float) -> Condition:
+    size = {"room_size": (3.0, 3.0, 0.6)}
+    return Condition(f"{overlap:.0%} overlap", tolerance, size | {"overlap": overlap})
+
+
+def moved(share: float) -> Condition:
+    return Condition(f"{share:.0%} of sources moved", (0.1, 3.0), {"moved_sources": share})
+
+
+# By the words before the seed in the name of a pair.
+CONDITIONS = {
+    "100": covered(1.0, 0.005, 0.2),
+    "75": covered(0.75, 0.01, 0.3),
+    "50": covered(0.5, 0.015, 0.4),
+    "30": covered(0.3, 0.02, 0.6),
+    "15": covered(0.15, 0.03, 0.8),
+    "moved10": moved(0.1),
+    "moved20": moved(0.2),
+    "moved40": moved(0.4),
+}
 ROOM_COLUMNS = (
-    "overlap", "accepted within tolerance", "95 % bounds", "accepted, wrong", "refused",
+    "rooms", "accepted within tolerance", "95 % bounds", "accepted, wrong", "refused",
     "median", "95 %", "NEES", "s a pair",
 )  # fmt: skip
 # Why pairs of different places are refused, and evidence that is remarkable there, in nats.
@@ -41,7 +71,6 @@ NATS = (15, 50)
 PAIR_COLUMNS = (
     "drawing", "pairs", *(s.replace("_", " ") for s in STATUSES), *(f"above {nats} nats" for nats in NATS)
 )  # fmt: skip
-ROOM = SimulationConfig(room_size=(3.0, 3.0, 0.6))
 # Pairs are drawn within blocks of so many maps, so that a worker need not load one for each, nor keep them all.
 BLOCK, PAIRS_OF_A_BLOCK = 40, 400
 Rows = dict[str, dict[str, object]]
@@ -61,9 +90,10 @@ def map_of(survey: mm.Survey, path: Path) -> mm.FieldMap:
 
 
 def room(name: str) -> SimulatedPair:
-    """The two surveys of a room: name is ``overlap-SEED``."""
-    percent, seed = map(int, name.split("-"))
-    return mm.simulate("office-random", seed, ROOM.model_copy(update={"overlap": percent / 100}))
+    """The two surveys of a room: name is ``CONDITION-SEED``."""
+    condition, seed = name.split("-")
+    settings = SimulationConfig.model_validate(CONDITIONS[condition].settings)
+    return mm.simulate("office-random", int(seed), settings)
 
 
 def same_place(name: str, folder: Path) -> dict[str, object]:
@@ -88,10 +118,10 @@ def work(folder: Path, name: str) -> dict[str, object]:
 
 
 def rooms(first: int, n: int) -> Iterator[str]:
-    """Names of pairs of one place, the overlaps in turn."""
+    """Names of pairs of one place, the conditions in turn."""
     for k in range(n):
-        for j, overlap in enumerate(TOLERANCE):
-            yield f"{round(100 * overlap)}-{first + len(TOLERANCE) * k + j}"
+        for j, condition in enumerate(CONDITIONS):
+            yield f"{condition}-{first + len(CONDITIONS) * k + j}"
 
 
 def crossed(folders: list[Path], n: int, seed: int) -> Iterator[str]:
@@ -115,8 +145,9 @@ def site_of(name: str) -> str:
 
 def table_of_rooms(found: Rows) -> list[list[str]]:
     lines = []
-    for overlap, (max_m, max_deg) in TOLERANCE.items():
-        rows = [r for name, r in found.items() if name.startswith(f"{round(100 * overlap)}-")]
+    for word, condition in CONDITIONS.items():
+        max_m, max_deg = condition.tolerance
+        rows = [r for name, r in found.items() if name.startswith(f"{word}-")]
         if not rows:
             continue
         distance, angle, nees = np.array([r["error"] for r in rows], dtype=float).T
@@ -126,7 +157,7 @@ def table_of_rooms(found: Rows) -> list[list[str]]:
         low, high = wilson_interval(int(good.sum()), len(rows))
         errors = np.quantile([1e3 * distance, angle], (0.5, 0.95), axis=1, method="higher")
         lines.append([
-            f"{overlap:.0%}", f"{good.sum():,} of {len(rows):,} within {1e3 * max_m:.0f} mm, {max_deg} deg",
+            condition.title, f"{good.sum():,} of {len(rows):,} within {1e3 * max_m:.0f} mm, {max_deg:g} deg",
             f"{low:.1%} to {high:.1%}", f"{wrong.sum()}", f"{(~accepted).sum()}",
             *(f"{mm:.1f} mm, {deg:.2f} deg" for mm, deg in errors),
             f"{nees[accepted].mean() if accepted.any() else np.nan:.2f}",
