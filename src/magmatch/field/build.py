@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 # Biases and the field's numbers are chosen in turn, since numbers that take biases for noise leave some of them:
 # until biases move by less than this share of their sd, which is less than they are known to, or so often.
 SETTLED, MOST_BIAS_ROUNDS = 0.2, 6
+# A map of all samples, its posterior without a declared box, and the samples in the model's frame.
+Fitted = tuple[FieldMap, FieldPosterior, Survey]
 
 
 @single_threaded
@@ -46,8 +48,8 @@ def build_map(
     Parameters
     ----------
     survey : Survey or sequence of Survey
-        Samples; several surveys must share one frame and are mapped together. Where their orientations are known,
-        each one's sensor bias is solved with the field and taken out (`FieldMap.biases`).
+        Samples; several surveys must share one frame and are mapped together. Where orientations are known, each
+        one's sensor bias is solved with the field and taken out (`FieldMap.biases`).
     config : FieldConfig, optional
         Prior and hyperparameters; those not given are chosen from the data.
     run : callable, optional
@@ -76,10 +78,10 @@ def build_map(
 
 def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None = None) -> FieldMap:
     """Map of samples without checking them, however few or suspicious."""
-    biases = choose_biases(surveys, config, run)
+    biases, fitted = choose_biases(surveys, config, run)
     if biases is not None:
         surveys = biases.without(surveys)
-    field_map, unbounded, samples = choose_and_fit(surveys, config, run)
+    field_map, unbounded, samples = fitted or choose_and_fit(surveys, config, run)
     field_map = replace(field_map, biases=biases)
     if not config.leave_out_outliers:
         return field_map
@@ -95,35 +97,43 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
         # Nor did they move the numbers, nor the tiles that did not see them.
         return field_map.without_samples(is_out, run)
     # The prior stays; its numbers were those of the samples left out, too.
-    fitted = choose_and_fit(subsets(surveys, ~is_out), field_map.config, run)[0]
-    return replace(fitted, biases=biases and biases.subset(surveys, ~is_out))
+    fewer = choose_and_fit(subsets(surveys, ~is_out), field_map.config, run)[0]
+    return replace(fewer, biases=biases and biases.subset(surveys, ~is_out))
 
 
-def choose_biases(surveys: Sequence[Survey], config: FieldConfig, run: Workers | None) -> SensorBiases | None:
-    """Biases of the logs' sensors, solved with the field; None for one survey alone, or where there are none."""
-    if len(surveys) < 2 or not biased_logs(surveys) or config.sensor_bias_sd == 0:
-        return None
-    if config.prior != PREFERRED:
-        # It costs least, and priors are compared without biases. Numbers that are given are another prior's.
-        config = FieldConfig(prior=PREFERRED, domain=config.domain, sensor_bias_sd=config.sensor_bias_sd)
+def choose_biases(
+    surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None
+) -> tuple[SensorBiases | None, Fitted | None]:
+    """Biases of the logs' sensors and the spline's fit without them, solved in turn.
+
+    Biases are None where there are none; so is the fit where another prior is asked for.
+    """
+    if not biased_logs(surveys) or config.sensor_bias_sd == 0:
+        return None, None
+    # The spline costs least, and priors are compared without biases. Numbers that are given are another prior's.
+    spline, is_asked_for = config, config.prior == PREFERRED
+    if not is_asked_for:
+        spline = FieldConfig(prior=PREFERRED, domain=config.domain, sensor_bias_sd=config.sensor_bias_sd)
     merged, biases = surveys[0].merged(*surveys[1:]), no_biases(len(surveys))
     for _ in range(MOST_BIAS_ROUNDS):
-        field_map, posterior, samples = choose_and_fit(biases.without(surveys), config, run)
+        fitted = choose_and_fit(biases.without(surveys), spline, run)
+        field_map, posterior, samples = fitted
         T_model_map = field_map.T_map_model.inv()
-        measured, before = merged.transformed(T_model_map), biases.bias
-        n_alike = shared_errors(posterior, samples)
-        biases = solve_biases(
+        measured, n_alike = merged.transformed(T_model_map), shared_errors(posterior, samples)
+        found = solve_biases(
             posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
         )
-        if np.linalg.norm(biases.bias - before) <= SETTLED * np.linalg.norm(biases.sd):
+        if np.linalg.norm(found.bias - biases.bias) <= SETTLED * np.linalg.norm(found.sd):
+            biases = replace(found, bias=biases.bias)
             break
-    return biases if biases.spread > 0 else None
+        biases = found
+    else:
+        fitted = choose_and_fit(biases.without(surveys), spline, run)
+    return biases if biases.spread > 0 else None, fitted if is_asked_for else None
 
 
-def choose_and_fit(
-    surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None
-) -> tuple[FieldMap, FieldPosterior, Survey]:
-    """Map of all samples, its posterior without a declared box, and the samples in the model's frame."""
+def choose_and_fit(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None) -> Fitted:
+    """Choose the prior and its numbers, and fit the field."""
     merged = surveys[0].merged(*surveys[1:])
     T_map_model = merged.principal_frame()
     samples, box = merged.transformed(T_map_model.inv()), Box.declared(config.domain, T_map_model)

@@ -6,6 +6,10 @@ the samples say ``G^T (I - S) G / s^2`` of the biases once the field is marginal
 itself, its vertical offset, is known from the other walks. What all logs share and no turn shows is left to the mean
 field, whose prior is far wider than theirs. Surveys without orientations were turned by other means: they have no
 bias.
+
+Where a sensor hardly turns, errors of its orientations look like a bias: an error of variance ``a^2`` that is part of
+the turns, of which no field explains a share ``v``, turns the field by as much as a bias of ``a^2 / v`` of it does.
+Each direction is known no better than that.
 """
 
 from collections.abc import Sequence
@@ -25,6 +29,8 @@ from magmatch.typing import Indices, Mask, Matrix, Scalars, Tensors, Vector3, Ve
 # Of logs' biases, T: what a spread is chosen from, or that there is none. A phone that was never calibrated shows up
 # to 30 uT.
 SPREADS = (0.0, *np.geomspace(1e-7, 3e-5, 26).tolist())
+# rad: errors of a moving sensor's orientations.
+ATTITUDE_SD = 0.03
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -86,6 +92,7 @@ def solve_biases(
     spread: float | None,
     first: int = 0,
     n_alike: float = 1.0,
+    attitude_sd: float = ATTITUDE_SD,
 ) -> SensorBiases:
     """Most likely biases of logs together with the field, given the fit of samples whose numbers a map has.
 
@@ -93,6 +100,7 @@ def solve_biases(
     Surveys before the ``first`` are without bias.
     ``spread``: of the biases (T), by default that which makes the samples likeliest.
     ``n_alike``: how many neighbouring samples share their errors, and so count as one (`shared_errors`).
+    ``attitude_sd``: errors of orientations, rad.
     """
     logs = [k for k in biased_logs(surveys) if k >= first]
     found = no_biases(len(surveys), spread or 0.0)
@@ -101,8 +109,12 @@ def solve_biases(
     A, v = _said_by_all(posterior, R_model_map, samples, surveys, logs)
     variance = n_alike * posterior.hyperparameters.noise_sd**2
     # What is blended of tiles is not quite symmetric, and so may be less than nothing where nothing is said.
-    values, vectors = np.linalg.eigh((A + A.T) / 2 / variance)
-    values, along = np.maximum(values, 0), vectors.T @ v / variance
+    values, vectors = np.linalg.eigh((A + A.T) / 2)
+    values, counts = np.maximum(values, 0), np.repeat([len(surveys[k]) for k in logs], 3)
+    turned = attitude_sd**2 * float(np.sqrt((samples.field**2).sum(axis=1).mean())) * (counts @ vectors**2)
+    # Zero where nothing is said.
+    told = np.divide(values, variance * values + turned**2, out=np.zeros_like(values), where=values > 0)
+    values, along = told * values, told * (vectors.T @ v)
     chosen = _likeliest_spread(values, along) if spread is None else spread
     left = chosen**2 / (1 + chosen**2 * values)
     found.bias[logs] = (vectors @ (left * along)).reshape(-1, 3)
