@@ -16,7 +16,7 @@ from magmatch.field.fit import fit_unbounded
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.field.sensor_biases import SensorBiases, no_biases, solve_biases
+from magmatch.field.sensor_biases import SensorBiases, no_biases, sensor_axes, solve_biases
 from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.localization.config import LocalizerConfig
@@ -54,6 +54,12 @@ def walks(n_walks, spread=SPREAD, seed=0, **kinds):
 def mapped():
     surveys, biases = walks(6, n=40)
     return build_map(surveys), surveys, biases
+
+
+def unordered(survey):
+    """Its samples in no order, without orientations."""
+    rows = np.random.default_rng(3).permutation(len(survey))
+    return replace(survey, positions=survey.positions[rows], field=survey.field[rows], times=None, orientations=None)
 
 
 def solved(surveys, spread=SPREAD, prior="spline", first=0):
@@ -165,16 +171,31 @@ def test_one_robots_hard_iron_is_solved_with_its_map():
     assert right < 0.5 * wrong
 
 
+def test_where_no_orientations_are_known_a_robot_faces_where_it_moves():
+    survey = lanes(np.random.default_rng(0), np.pi, 0.005, np.array([-3e-6, 0, 0]))
+    known, bare = (
+        build_map(one, FieldConfig(prior="spline")).biases for one in (survey, replace(survey, orientations=None))
+    )
+    np.testing.assert_allclose(bare.bias[0, 0], known.bias[0, 0], atol=0.2e-6)
+
+
+def test_the_direction_of_travel_turns_with_the_survey():
+    survey = replace(lanes(np.random.default_rng(0), np.pi, 0.005, np.zeros(3)), orientations=None)
+    T = RigidTransform.from_components([3, -2, 1], Rotation.from_rotvec([0.4, -0.9, 1.3]))
+    apart = (T.rotation * sensor_axes(survey)).inv() * sensor_axes(survey.transformed(T))
+    assert apart.magnitude().max() < 1e-6
+
+
 def test_errors_of_orientations_are_no_hard_iron():
     survey = lanes(np.random.default_rng(1), 0.0, 0.03, np.zeros(3))
     assert build_map(survey, FieldConfig(prior="spline")).biases is None
 
 
-@pytest.mark.parametrize("change", ["bare", "told"])
+@pytest.mark.parametrize("change", ["unordered", "told"])
 def test_a_map_without_biases_to_solve_is_the_same_to_the_bit(change):
     surveys, _ = walks(3, n=30)
-    if change == "bare":
-        surveys = [replace(survey, orientations=None) for survey in surveys]
+    if change == "unordered":
+        surveys = [unordered(survey) for survey in surveys]
     config = FieldConfig(prior="spline", sensor_bias_sd=0.0 if change == "told" else None)
     field_map = build_map(surveys, config)
     assert field_map.biases is None
@@ -183,9 +204,9 @@ def test_a_map_without_biases_to_solve_is_the_same_to_the_bit(change):
     np.testing.assert_array_equal(field_map.posterior.weights, build_map(merged, config).posterior.weights)
 
 
-def test_a_survey_without_orientations_tells_the_others_their_bias():
+def test_samples_of_which_nobody_knows_how_they_were_turned_tell_the_others_their_bias():
     surveys, biases = walks(6)
-    bare = replace(walk(np.random.default_rng(7), np.zeros(3), n=200), orientations=None)
+    bare = unordered(walk(np.random.default_rng(7), np.zeros(3), n=200))
     found = solved([*surveys, bare])[2]
     assert not found.bias[-1].any()
     np.testing.assert_allclose(found.bias[:-1], biases, atol=1.5e-6)

@@ -17,6 +17,7 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_unbounded, within
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import prior_over
@@ -48,8 +49,8 @@ def build_map(
     Parameters
     ----------
     survey : Survey or sequence of Survey
-        Samples; several surveys must share one frame and are mapped together. Where orientations are known, each
-        one's sensor bias is solved with the field and taken out (`FieldMap.biases`).
+        Samples; several surveys must share one frame and are mapped together. Along a path, or with orientations,
+        each one's sensor bias is solved with the field and taken out (`FieldMap.biases`).
     config : FieldConfig, optional
         Prior and hyperparameters; those not given are chosen from the data.
     run : callable, optional
@@ -81,7 +82,9 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
     biases, fitted = choose_biases(surveys, config, run)
     if biases is not None:
         surveys = biases.without(surveys)
-    field_map, unbounded, samples = fitted or choose_and_fit(surveys, config, run)
+    if fitted is None or config.prior != PREFERRED:
+        fitted = choose_and_fit(surveys, config, run, fitted and fitted[1].hyperparameters)
+    field_map, unbounded, samples = fitted
     field_map = replace(field_map, biases=biases)
     if not config.leave_out_outliers:
         return field_map
@@ -104,15 +107,12 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
 def choose_biases(
     surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None
 ) -> tuple[SensorBiases | None, Fitted | None]:
-    """Biases of the logs' sensors and the spline's fit without them, solved in turn.
-
-    Biases are None where there are none; so is the fit where another prior is asked for.
-    """
+    """Biases of the logs' sensors and a spline's fit without them, solved in turn; None where there are none."""
     if not biased_logs(surveys) or config.sensor_bias_sd == 0:
         return None, None
     # The spline costs least, and priors are compared without biases. Numbers that are given are another prior's.
-    spline, is_asked_for = config, config.prior == PREFERRED
-    if not is_asked_for:
+    spline = config
+    if config.prior != PREFERRED:
         spline = FieldConfig(prior=PREFERRED, domain=config.domain, sensor_bias_sd=config.sensor_bias_sd)
     merged, biases = surveys[0].merged(*surveys[1:]), no_biases(len(surveys))
     for _ in range(MOST_BIAS_ROUNDS):
@@ -129,16 +129,18 @@ def choose_biases(
         biases = found
     else:
         fitted = choose_and_fit(biases.without(surveys), spline, run)
-    return biases if biases.spread > 0 else None, fitted if is_asked_for else None
+    return biases if biases.spread > 0 else None, fitted
 
 
-def choose_and_fit(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None) -> Fitted:
-    """Choose the prior and its numbers, and fit the field."""
+def choose_and_fit(
+    surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None, preferred: Hyperparameters | None = None
+) -> Fitted:
+    """Choose the prior and its numbers, and fit the field; see `choose_prior`."""
     merged = surveys[0].merged(*surveys[1:])
     T_map_model = merged.principal_frame()
     samples, box = merged.transformed(T_map_model.inv()), Box.declared(config.domain, T_map_model)
     if config.prior == "auto":
-        config, hyperparameters = choose_prior(samples, config, T_map_model)
+        config, hyperparameters = choose_prior(samples, config, T_map_model, preferred)
     else:
         hyperparameters = choose_numbers(prior_over(config.prior, box), samples, config)
     tell(f"fitting the field of {merged.name} ({len(merged)} samples, prior {config.prior})")

@@ -47,15 +47,18 @@ FEWEST_PARTS = 6
 
 
 def choose_prior(
-    samples: Survey, config: FieldConfig, T_domain_model: RigidTransform
+    samples: Survey, config: FieldConfig, T_domain_model: RigidTransform, preferred: Hyperparameters | None = None
 ) -> tuple[FieldConfig, Hyperparameters]:
-    """Choose the prior that predicts held-out parts best, and its numbers; ``comparison`` stores each one's error."""
+    """Choose the prior that predicts held-out parts best, and its numbers; ``comparison`` stores each one's error.
+
+    ``preferred``: the numbers of the preferred prior, where they were chosen already.
+    """
     box = Box.declared(config.domain, T_domain_model)
     length = typical_length(samples.positions, samples.field)
     folds = divide(samples.positions, length)
     names = [PREFERRED, *(name for name in sorted(DENSE_PRIORS) if _is_possible(name, samples, folds, length))]
     # Chosen once, from all samples: a part would not show what a prior cannot afford to represent on the whole.
-    known = choose_all_numbers(names, samples, config, box)
+    known = choose_all_numbers(names, samples, config, box, {} if preferred is None else {PREFERRED: preferred})
     taken, compared = PriorCandidate(PREFERRED, known[PREFERRED], np.zeros(0)), []
     if len(known) > 1 and folds.is_path and len(samples) > 2 * _N_QUALIFYING:
         part = _qualifying(samples)
@@ -85,11 +88,15 @@ def _is_possible(name: str, samples: Survey, folds: Folds, length: float) -> boo
 
 
 def choose_all_numbers(
-    names: Iterable[str], samples: Survey, config: FieldConfig, box: Box | None
+    names: Iterable[str],
+    samples: Survey,
+    config: FieldConfig,
+    box: Box | None,
+    chosen: Mapping[str, Hyperparameters],
 ) -> dict[str, Hyperparameters]:
-    """Numbers of several priors, those that fail left out; the first one must be possible."""
-    found: dict[str, Hyperparameters] = {}
-    for name in names:
+    """Numbers of several priors beside those chosen, those that fail left out; the first one must be possible."""
+    found = {name: replace(h, **given_numbers(config)) for name, h in chosen.items()}
+    for name in (name for name in names if name not in chosen):
         try:
             found[name] = likely_numbers(prior_over(name, box), samples, config)
         except FAILURES as error:

@@ -4,8 +4,8 @@
 With G the columns of the biases (each sample's sensor axes in the map's frame) and S the smoother of the map's fit,
 the samples say ``G^T (I - S) G / s^2`` of the biases once the field is marginalised. So what no level walk shows by
 itself, its vertical offset, is known from the other walks. What all logs share and no turn shows is left to the mean
-field, whose prior is far wider than theirs. Surveys without orientations were turned by other means: they have no
-bias.
+field, whose prior is far wider than theirs. Along a path without orientations the sensor is taken to face where it
+moves, as on a robot: the evidence tells whether it does. Samples without such an order have no bias.
 
 Where a sensor hardly turns, errors of its orientations look like a bias: an error of variance ``a^2`` that is part of
 the turns, of which no field explains a share ``v``, turns the field by as much as a bias of ``a^2 / v`` of it does.
@@ -22,8 +22,10 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
+from magmatch.field.folds import has_path_order
 from magmatch.field.linear_model import FieldPosterior, Piece
 from magmatch.field.selection.spline_evidence import integrated_autocorrelation_time
+from magmatch.geometry import path_walked
 from magmatch.typing import Indices, Mask, Matrix, Scalars, Tensors, Vector3, Vectors
 
 # Of logs' biases, T: what a spread is chosen from, or that there is none. A phone that was never calibrated shows up
@@ -31,6 +33,8 @@ from magmatch.typing import Indices, Mask, Matrix, Scalars, Tensors, Vector3, Ve
 SPREADS = (0.0, *np.geomspace(1e-7, 3e-5, 26).tolist())
 # rad: errors of a moving sensor's orientations.
 ATTITUDE_SD = 0.03
+# The direction of travel is that to what comes so far behind from what came so far before: in steps, in extents.
+CHORD = (3.0, 0.01)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,14 +128,29 @@ def solve_biases(
 
 def without_bias(survey: Survey, bias: Vector3) -> Survey:
     """The survey as measured by a magnetometer without the bias."""
-    if survey.orientations is None or not np.any(bias):
-        return survey
-    return replace(survey, field=survey.field - survey.orientations.apply(bias))
+    axes = sensor_axes(survey) if np.any(bias) else None
+    return survey if axes is None else replace(survey, field=survey.field - axes.apply(bias))
 
 
 def biased_logs(surveys: Sequence[Survey]) -> list[int]:
-    """The logs that may have a bias: it turns with the sensor, so orientations must be known."""
-    return [k for k, survey in enumerate(surveys) if survey.orientations is not None and not stuck_axes(survey)]
+    """The logs that may have a bias: it turns with the sensor, so the sensor's axes must be known."""
+    return [k for k, survey in enumerate(surveys) if sensor_axes(survey) is not None]
+
+
+def sensor_axes(survey: Survey) -> Rotation | None:
+    """Axes of the sensor in a survey's frame, by the direction of travel where no orientations are known."""
+    if survey.orientations is not None:
+        return None if stuck_axes(survey) else survey.orientations
+    if not has_path_order(survey.positions):
+        return None
+    frame = survey.principal_frame()
+    points, walked = frame.inv().apply(survey.positions), path_walked(survey.positions)
+    # Over so much path that jitter turns nothing.
+    step = np.median(np.diff(walked))
+    reach = max(CHORD[0] * step, CHORD[1] * np.linalg.norm(np.ptp(points, axis=0)))
+    ends = (np.column_stack([np.interp(walked + by, walked, x) for x in points.T[:2]]) for by in (-reach, reach))
+    x, y = np.subtract(*reversed(list(ends))).T
+    return frame.rotation * Rotation.from_euler("z", np.arctan2(y, x)[:, None])
 
 
 def no_biases(n_logs: int, spread: float = 0.0) -> SensorBiases:
@@ -146,8 +165,8 @@ def _said_by_all(
     number = np.repeat(np.arange(len(surveys)), [len(survey) for survey in surveys])
     turns = np.zeros((len(samples), 3, 3))
     for k in logs:
-        if (turned := surveys[k].orientations) is not None:
-            turns[number == k] = (R_model_map * turned).as_matrix()
+        if (axes := sensor_axes(surveys[k])) is not None:
+            turns[number == k] = (R_model_map * axes).as_matrix()
     A, v = np.zeros((3 * len(logs), 3 * len(logs))), np.zeros(3 * len(logs))
     for piece in posterior.pieces(samples.positions):
         seen = number[piece.rows]
