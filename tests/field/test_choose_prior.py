@@ -112,7 +112,7 @@ def test_what_some_parts_leave_open_all_parts_decide(monkeypatch):
     points, field = room(inside=False, n=600)
     survey, folds = Survey(points, field), divide(points, typical_length(points, field))
     config = FieldConfig(prior="auto")
-    known = choose_all_numbers(["spline", "harmonic"], survey, config, None)
+    known = choose_all_numbers(["spline", "harmonic"], survey, config, None, {})
     spline, harmonic = compare(known, survey, folds, None)
     assert harmonic.error < spline.error
     monkeypatch.setattr(choice, "DENSE_PRIORS", {"harmonic": DENSE_PRIORS["harmonic"]})

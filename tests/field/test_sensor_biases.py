@@ -140,6 +140,7 @@ def test_known_biases_of_several_logs_are_recovered_with_their_map(mapped):
     np.testing.assert_array_equal(
         field_map.surveys[0].field, surveys[0].field - surveys[0].orientations.apply(field_map.biases.bias[0])
     )
+    np.testing.assert_allclose(field_map.measured.field, surveys[0].merged(*surveys[1:]).field, rtol=0, atol=1e-15)
 
 
 def lanes(rng, turn, jitter, bias, n_lanes=7, n=60):

@@ -22,7 +22,8 @@ class FieldConfig(Settings):
     noise_sd: float | None = Field(default=None, gt=0)
     # Distance of the basis nodes, m. None: from the lengthscale and the size of the region.
     spacing: float | None = Field(default=None, gt=0)
-    # Standard deviation of the biases of the logs' sensors, T, which are solved with the field; 0: they have none. None: chosen from the data.
+    # Standard deviation of the biases of the logs' sensors, T, which are solved with the field; 0: they have none.
+    # None: chosen from the data.
     sensor_bias_sd: float | None = Field(default=None, ge=0)
     # Leave out the few samples that contradict their neighbours, with a warning.
     leave_out_outliers: bool = True

@@ -93,6 +93,14 @@ class FieldMap:
         return self.parts or (self.survey,)
 
     @property
+    def measured(self) -> Survey:
+        """The samples as measured, with the biases of their sensors."""
+        if self.biases is None:
+            return self.survey
+        first, *others = replace(self.biases, bias=-self.biases.bias).without(self.surveys)
+        return first.merged(*others)
+
+    @property
     def hyperparameters(self) -> Hyperparameters:
         """Lengthscale, signal and noise of the prior."""
         return self.posterior.hyperparameters

@@ -148,14 +148,16 @@ def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
     """
     if field_map.parts or field_map.config.domain is not None:
         return None
-    evidence = offset_evidence(field_map.survey, field_map.hyperparameters)
-    if evidence < MIN_EVIDENCE:
+    measured, h = field_map.measured, field_map.hyperparameters
+    if offset_evidence(measured, h) < MIN_EVIDENCE:
         return None
+    # Of what the map left of it. A clock's offset and soft iron are not the map's to solve.
+    evidence = max(offset_evidence(field_map.survey, h), 0.0)
     # Imported only when needed: the import is slow.
     from magmatch.preparation.prepare import prepare
 
     log.info("%s: its readings turn with the sensor, which is calibrated", survey.name)
-    done = attempted(prepare, survey, SETTINGS)
+    done = attempted(prepare, measured if survey is field_map.survey else survey, SETTINGS)
     return None if done is None or done[1].sensor.is_identity else Calibrated(done[0], done[1].sensor, evidence)
 
 
