@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Biases of several logs' sensors, solved with the field of their map."""
+"""Biases of logs' sensors, solved with the field of their map."""
 
 from dataclasses import replace
 
@@ -185,6 +185,21 @@ def test_the_direction_of_travel_turns_with_the_survey():
     T = RigidTransform.from_components([3, -2, 1], Rotation.from_rotvec([0.4, -0.9, 1.3]))
     apart = (T.rotation * sensor_axes(survey)).inv() * sensor_axes(survey.transformed(T))
     assert apart.magnitude().max() < 1e-6
+
+
+def test_what_is_known_of_a_bias_is_taken_out_beside_what_is_not():
+    survey = lanes(np.random.default_rng(0), np.pi, 0.005, np.array([-3e-6, 0, 0]))
+    found = build_map(survey, FieldConfig(prior="spline", sensor_bias_sd=3e-5)).biases
+    assert found.sd[0, 2] > 1e-5
+    assert abs(found.bias[0, 0] + 3e-6) < 3 * found.sd[0, 0] < 3e-6
+
+
+def test_the_axes_of_travel_do_not_hang_on_the_last_samples():
+    survey = replace(lanes(np.random.default_rng(0), np.pi, 0.005, np.zeros(3)), orientations=None)
+    for last in (7, 20, 60):
+        part = survey.subset(np.arange(len(survey) - last))
+        apart = sensor_axes(part).inv() * sensor_axes(survey)[: len(part)]
+        assert np.median(apart.magnitude()) < 0.01
 
 
 def test_errors_of_orientations_are_no_hard_iron():

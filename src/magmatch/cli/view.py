@@ -92,11 +92,12 @@ def view(
 def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
     """A survey's map as the registration made it, for residuals and cuts; the survey if it cannot be mapped."""
     from magmatch.errors import SurveyError
+    from magmatch.field.map import FieldMap
     from magmatch.registration.config import RegistrationConfig
-    from magmatch.registration.maps import as_map, survey_of
+    from magmatch.registration.maps import as_map
     from magmatch.registration.sensor_calibration import without_sensor_errors
 
-    as_given = survey_of(item)
+    as_given = item.measured if isinstance(item, FieldMap) else item
     used = without_sensor_errors(as_given, result.sensor, side)
     try:
         return as_map(item if used is as_given else used, RegistrationConfig.model_validate(result.config).field)

@@ -81,6 +81,7 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
     """Map of samples without checking them, however few or suspicious."""
     biases, fitted = choose_biases(surveys, config, run)
     if biases is not None:
+        log.info("%s", biases.in_words)
         surveys = biases.without(surveys)
     if fitted is None or config.prior != PREFERRED:
         fitted = choose_and_fit(surveys, config, run, fitted and fitted[1].hyperparameters)
@@ -123,7 +124,7 @@ def choose_biases(
         found = solve_biases(
             posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
         )
-        if np.linalg.norm(found.bias - biases.bias) <= SETTLED * np.linalg.norm(found.sd):
+        if (np.abs(found.bias - biases.bias) <= SETTLED * found.sd).all():
             biases = replace(found, bias=biases.bias)
             break
         biases = found

@@ -7,9 +7,9 @@ itself, its vertical offset, is known from the other walks. What all logs share 
 field, whose prior is far wider than theirs. Along a path without orientations the sensor is taken to face where it
 moves, as on a robot: the evidence tells whether it does. Samples without such an order have no bias.
 
-Where a sensor hardly turns, errors of its orientations look like a bias: an error of variance ``a^2`` that is part of
-the turns, of which no field explains a share ``v``, turns the field by as much as a bias of ``a^2 / v`` of it does.
-Each direction is known no better than that.
+Where a sensor hardly turns, errors of its orientations look like a bias. Let the field explain all but a share ``v``
+of what a bias along some direction adds to the samples. Errors of variance ``a^2`` that are part of the turns then
+read as a bias of ``a^2 / v`` times the field, and no bias along it is known better than that.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
@@ -33,7 +33,7 @@ from magmatch.typing import Indices, Mask, Matrix, Scalars, Tensors, Vector3, Ve
 SPREADS = (0.0, *np.geomspace(1e-7, 3e-5, 26).tolist())
 # rad: errors of a moving sensor's orientations.
 ATTITUDE_SD = 0.03
-# The direction of travel is that to what comes so far behind from what came so far before: in steps, in extents.
+# The direction of travel is that from a point so far back on the path to one so far ahead: in steps, in extents.
 CHORD = (3.0, 0.01)
 
 
@@ -44,7 +44,7 @@ class SensorBiases:
     Attributes
     ----------
     bias, sd : (l, 3) arrays, T
-        Of each of the map's surveys, in its sensor's axes; 0 where it has none.
+        Of each of the map's surveys, in its sensor's axes (`sensor_axes`); 0 where it has none.
     spread : float, T
         Standard deviation of a component between logs: what another log of such sensors is expected to have.
     """
@@ -78,6 +78,8 @@ class SensorBiases:
     def in_words(self) -> str:
         """How large they are."""
         sizes = np.linalg.norm(self.bias, axis=1)
+        if len(sizes) == 1:
+            return f"Took a bias of {field_text(float(sizes[0]))}, which turns with the sensor, out of the log"
         middle, most = (field_text(float(size)) for size in (np.median(sizes), sizes.max()))
         return f"Took the sensor's bias out of each log: {middle} in the median, at most {most}"
 
@@ -115,12 +117,13 @@ def solve_biases(
     # What is blended of tiles is not quite symmetric, and so may be less than nothing where nothing is said.
     values, vectors = np.linalg.eigh((A + A.T) / 2)
     values, counts = np.maximum(values, 0), np.repeat([len(surveys[k]) for k in logs], 3)
-    turned = attitude_sd**2 * float(np.sqrt((samples.field**2).sum(axis=1).mean())) * (counts @ vectors**2)
+    size = float(np.sqrt((samples.field**2).sum(axis=1).mean()))
+    turned = attitude_sd**2 * size * (counts @ vectors**2)
     # Zero where nothing is said.
-    told = np.divide(values, variance * values + turned**2, out=np.zeros_like(values), where=values > 0)
-    values, along = told * values, told * (vectors.T @ v)
-    chosen = _likeliest_spread(values, along) if spread is None else spread
-    left = chosen**2 / (1 + chosen**2 * values)
+    weights = np.divide(values, variance * values + turned**2, out=np.zeros_like(values), where=values > 0)
+    precisions, along = weights * values, weights * (vectors.T @ v)
+    chosen = _likeliest_spread(precisions, along) if spread is None else spread
+    left = chosen**2 / (1 + chosen**2 * precisions)
     found.bias[logs] = (vectors @ (left * along)).reshape(-1, 3)
     found.sd[logs] = np.sqrt(vectors**2 @ left).reshape(-1, 3)
     return replace(found, spread=chosen)
@@ -134,22 +137,28 @@ def without_bias(survey: Survey, bias: Vector3) -> Survey:
 
 def biased_logs(surveys: Sequence[Survey]) -> list[int]:
     """The logs that may have a bias: it turns with the sensor, so the sensor's axes must be known."""
-    return [k for k, survey in enumerate(surveys) if sensor_axes(survey) is not None]
+    known = (k for k, survey in enumerate(surveys) if sensor_axes(survey) is not None)
+    return [k for k in known if surveys[k].orientations is None or not stuck_axes(surveys[k])]
 
 
 def sensor_axes(survey: Survey) -> Rotation | None:
-    """Axes of the sensor in a survey's frame, by the direction of travel where no orientations are known."""
-    if survey.orientations is not None:
-        return None if stuck_axes(survey) else survey.orientations
-    if not has_path_order(survey.positions):
-        return None
+    """Axes of the sensor in a survey's frame.
+
+    Where no orientations are known, x is the direction of travel, and z is upright on the plane of the path, on the
+    side to which the field points. None where samples follow no path either.
+    """
+    if survey.orientations is not None or not has_path_order(survey.positions):
+        return survey.orientations
     frame = survey.principal_frame()
+    if frame.rotation.inv().apply(survey.field.mean(axis=0))[2] < 0:
+        # The sign that positions give it may change with the last few of them.
+        frame *= RigidTransform.from_rotation(Rotation.from_rotvec([np.pi, 0, 0]))
     points, walked = frame.inv().apply(survey.positions), path_walked(survey.positions)
     # Over so much path that jitter turns nothing.
     step = np.median(np.diff(walked))
     reach = max(CHORD[0] * step, CHORD[1] * np.linalg.norm(np.ptp(points, axis=0)))
-    ends = (np.column_stack([np.interp(walked + by, walked, x) for x in points.T[:2]]) for by in (-reach, reach))
-    x, y = np.subtract(*reversed(list(ends))).T
+    behind, ahead = (np.column_stack([np.interp(walked + by, walked, x) for x in points.T]) for by in (-reach, reach))
+    x, y, _ = (ahead - behind).T
     return frame.rotation * Rotation.from_euler("z", np.arctan2(y, x)[:, None])
 
 

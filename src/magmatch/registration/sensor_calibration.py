@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Calibration of surveys whose readings show hard iron, as by `magmatch prepare`: some register only then."""
+"""Calibration of surveys whose readings show hard iron, as by `magmatch prepare`: clock and soft iron, too."""
 
 import logging
 from collections.abc import Callable, Mapping
@@ -43,7 +43,7 @@ class Calibrated:
 
     survey: Survey
     sensor: SensorCorrection  # the correction
-    evidence: float  # nats: of the readings alone, for a field that turns with the sensor
+    evidence: float  # nats: of its map's samples, for a field that turns with the sensor and that the map left
 
     def as_dict(self) -> Calibration:
         """For JSON: ``b_true = matrix b_read - shift`` (T, sensor frame), and the clock's offset (s)."""
@@ -123,8 +123,8 @@ def calibrate_sensors(
 def better_supported(as_given: Answered, calibrated: Answered | None, sides: Mapping[str, Calibrated]) -> Answered:
     """Choose the likelier of two models, sensors as they are stated and sensors as they were calibrated.
 
-    Against the first counts what the readings alone say for a field that turns with the sensor: such a field is not
-    that of the place, however well it agrees. The second is None if calibration failed.
+    Against the first counts what its maps' samples say for a field that still turns with the sensor: such a field is
+    not that of the place, however well it agrees. The second is None if calibration failed.
     """
     if calibrated is None:
         return as_given
@@ -151,7 +151,7 @@ def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
     measured, h = field_map.measured, field_map.hyperparameters
     if offset_evidence(measured, h) < MIN_EVIDENCE:
         return None
-    # Of what the map left of it. A clock's offset and soft iron are not the map's to solve.
+    # The map solved hard iron. A clock's offset and soft iron leave a field that turns with the sensor all the same.
     evidence = max(offset_evidence(field_map.survey, h), 0.0)
     # Imported only when needed: the import is slow.
     from magmatch.preparation.prepare import prepare
