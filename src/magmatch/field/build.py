@@ -30,7 +30,7 @@ from magmatch.threads import single_threaded
 log = logging.getLogger(__name__)
 
 # Biases and the field's numbers are chosen in turn, since numbers that take biases for noise leave some of them:
-# until biases move by less than this share of their sd, which is less than they are known to, or so often.
+# until biases move by less than this share of their sd, or of the noise, which numbers do not feel; or so often.
 SETTLED, MOST_BIAS_ROUNDS = 0.2, 6
 # A map of all samples, its posterior without a declared box, and the samples in the model's frame.
 Fitted = tuple[FieldMap, FieldPosterior, Survey]
@@ -124,7 +124,7 @@ def choose_biases(
         found = solve_biases(
             posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
         )
-        if (np.abs(found.bias - biases.bias) <= SETTLED * found.sd).all():
+        if (np.abs(found.bias - biases.bias) <= SETTLED * np.maximum(found.sd, posterior.hyperparameters.noise_sd)).all():
             biases = replace(found, bias=biases.bias)
             break
         biases = found
