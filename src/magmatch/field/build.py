@@ -124,7 +124,8 @@ def choose_biases(
         found = solve_biases(
             posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
         )
-        if (np.abs(found.bias - biases.bias) <= SETTLED * np.maximum(found.sd, posterior.hyperparameters.noise_sd)).all():
+        little = SETTLED * np.maximum(found.sd, posterior.hyperparameters.noise_sd)
+        if (np.abs(found.bias - biases.bias) <= little).all():
             biases = replace(found, bias=biases.bias)
             break
         biases = found
