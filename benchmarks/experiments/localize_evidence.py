@@ -101,7 +101,8 @@ def work(name, data, out):
     (log, truth), is_there = log_of(log_name, data), not name.startswith("off")
     # What one height means is decided for whole logs: `follow_log`.
     is_planar = np.ptp(log.positions[:, 2]) < 1e-6
-    localizer = mm.Localizer(map_of(place_name, data, out), CONFIG.model_copy(update={"is_planar": is_planar}))
+    place = map_of(place_name, data, out)
+    localizer = mm.Localizer(place, CONFIG.model_copy(update={"is_planar": is_planar}))
     poses = RigidTransform.from_components(log.positions, log.orientations)
     z = log.orientations.inv().apply(log.field)
     walked = path_walked(log.positions)
@@ -129,7 +130,7 @@ def work(name, data, out):
             limit = CONFIG.decision.tolerance(belief._known.length)[0]
             is_right = is_there and np.linalg.norm(T[:d] - true[n]) < max(limit, RIGHT)
             said.append([belief._found.best, bool(is_right)])
-    whole = answered_whole(map_of(place_name, data, out), log, true) if is_there else {}
+    whole = answered_whole(place, log, true) if is_there else {}
     return whole | {
         "name": name, "walked": float(walked[-1]), "stated": n_stated / len(log), "first": first, "errors": errors,
         "nees": nees, "said": said, "late": float(n_late / max((walked > LATE).sum(), 1)),

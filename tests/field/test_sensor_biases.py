@@ -16,7 +16,7 @@ from magmatch.field.fit import fit_unbounded
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import PRIORS
-from magmatch.field.sensor_biases import SensorBiases, no_biases, sensor_axes, solve_biases
+from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, sensor_axes, solve_biases
 from magmatch.field.tiles.region_model import TiledModel
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.localization.config import LocalizerConfig
@@ -62,10 +62,11 @@ def unordered(survey):
     return replace(survey, positions=survey.positions[rows], field=survey.field[rows], times=None, orientations=None)
 
 
-def solved(surveys, spread=SPREAD, prior="spline", first=0):
+def solved(surveys, spread=SPREAD, prior="spline"):
     samples = surveys[0].merged(*surveys[1:])
     posterior = fit_unbounded(samples, NUMBERS, PRIORS[prior], {}, None)
-    return posterior, samples, solve_biases(posterior, AS_IS, samples, surveys, spread, first, attitude_sd=0.0)
+    logs = biased_logs(surveys)
+    return posterior, samples, solve_biases(posterior, AS_IS, samples, surveys, logs, spread, attitude_sd=0.0)
 
 
 def columns_of(surveys):
@@ -120,7 +121,7 @@ def test_tiles_say_of_biases_what_the_whole_says():
     tiling = Tiling(NUMBERS.spacing, margin=5, reach=2, core=6, blend=1)
     tiled = TiledModel.over(samples.positions, NUMBERS, tiling).fit(samples.positions, samples.field, {}, None)
     assert len(tiled.tiles) > 1
-    found = solve_biases(tiled, AS_IS, samples, surveys, SPREAD, attitude_sd=0.0)
+    found = solve_biases(tiled, AS_IS, samples, surveys, range(6), SPREAD, attitude_sd=0.0)
     # Tiles do not know that the constant field is one.
     apart = found.bias - whole.bias
     apart[:, 2] -= apart[:, 2].mean()

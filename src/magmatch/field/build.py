@@ -109,7 +109,7 @@ def choose_biases(
     surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None
 ) -> tuple[SensorBiases | None, Fitted | None]:
     """Biases of the logs' sensors and a spline's fit without them, solved in turn; None where there are none."""
-    if not biased_logs(surveys) or config.sensor_bias_sd == 0:
+    if config.sensor_bias_sd == 0 or not (logs := biased_logs(surveys)):
         return None, None
     # The spline costs least, and priors are compared without biases. Numbers that are given are another prior's.
     spline = config
@@ -121,9 +121,7 @@ def choose_biases(
         field_map, posterior, samples = fitted
         T_model_map = field_map.T_map_model.inv()
         measured, n_alike = merged.transformed(T_model_map), shared_errors(posterior, samples)
-        found = solve_biases(
-            posterior, T_model_map.rotation, measured, surveys, config.sensor_bias_sd, n_alike=n_alike
-        )
+        found = solve_biases(posterior, T_model_map.rotation, measured, surveys, logs, config.sensor_bias_sd, n_alike)
         little = SETTLED * np.maximum(found.sd, posterior.hyperparameters.noise_sd)
         if (np.abs(found.bias - biases.bias) <= little).all():
             biases = replace(found, bias=biases.bias)

@@ -28,7 +28,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
-from magmatch.field.sensor_biases import SensorBiases, no_biases, shared_errors, solve_biases
+from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, shared_errors, solve_biases
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
@@ -99,6 +99,11 @@ class FieldMap:
             return self.survey
         first, *others = replace(self.biases, bias=-self.biases.bias).without(self.surveys)
         return first.merged(*others)
+
+    @property
+    def bias_spread(self) -> float:
+        """Standard deviation of the biases of its logs' sensors, T; 0 where none were found."""
+        return 0.0 if self.biases is None else self.biases.spread
 
     @property
     def hyperparameters(self) -> Hyperparameters:
@@ -294,7 +299,8 @@ class FieldMap:
         spread = self.config.sensor_bias_sd if known is None else known.spread
         R_model_map = self.T_map_model.rotation.inv()
         n_alike = shared_errors(self.posterior, self._fitted())
-        found = solve_biases(grown.posterior, R_model_map, fitted, parts, spread, n, n_alike)
+        new = [n + k for k in biased_logs(parts[n:])]
+        found = solve_biases(grown.posterior, R_model_map, fitted, parts, new, spread, n_alike)
         if known is None and found.spread == 0:
             return None
         known = no_biases(n, found.spread) if known is None else known

@@ -95,22 +95,21 @@ def solve_biases(
     R_model_map: Rotation,
     samples: Survey,
     surveys: Sequence[Survey],
+    logs: Sequence[int],
     spread: float | None,
-    first: int = 0,
     n_alike: float = 1.0,
     attitude_sd: float = ATTITUDE_SD,
 ) -> SensorBiases:
     """Most likely biases of logs together with the field, given the fit of samples whose numbers a map has.
 
     ``samples``: of all surveys in the model's frame, as measured, whatever field the fit has seen at their places.
-    Surveys before the ``first`` are without bias.
+    ``logs``: numbers of the surveys whose bias is asked for (`biased_logs`); the others have none.
     ``spread``: of the biases (T), by default that which makes the samples likeliest.
     ``n_alike``: how many neighbouring samples share their errors, and so count as one (`shared_errors`).
     ``attitude_sd``: errors of orientations, rad.
     """
-    logs = [k for k in biased_logs(surveys) if k >= first]
     found = no_biases(len(surveys), spread or 0.0)
-    if not logs or spread == 0:
+    if not len(logs) or spread == 0:
         return found
     A, v = _said_by_all(posterior, R_model_map, samples, surveys, logs)
     variance = n_alike * posterior.hyperparameters.noise_sd**2
@@ -137,8 +136,11 @@ def without_bias(survey: Survey, bias: Vector3) -> Survey:
 
 def biased_logs(surveys: Sequence[Survey]) -> list[int]:
     """The logs that may have a bias: it turns with the sensor, so the sensor's axes must be known."""
-    known = (k for k, survey in enumerate(surveys) if sensor_axes(survey) is not None)
-    return [k for k in known if surveys[k].orientations is None or not stuck_axes(surveys[k])]
+    return [
+        k
+        for k, survey in enumerate(surveys)
+        if (has_path_order(survey.positions) if survey.orientations is None else not stuck_axes(survey))
+    ]
 
 
 def sensor_axes(survey: Survey) -> Rotation | None:
@@ -168,7 +170,7 @@ def no_biases(n_logs: int, spread: float = 0.0) -> SensorBiases:
 
 
 def _said_by_all(
-    posterior: FieldPosterior, R_model_map: Rotation, samples: Survey, surveys: Sequence[Survey], logs: list[int]
+    posterior: FieldPosterior, R_model_map: Rotation, samples: Survey, surveys: Sequence[Survey], logs: Sequence[int]
 ) -> tuple[Matrix, Scalars]:
     """What all samples say of the biases of some logs, times the noise variance: precision, and its vector."""
     number = np.repeat(np.arange(len(surveys)), [len(survey) for survey in surveys])

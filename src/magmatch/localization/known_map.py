@@ -108,7 +108,7 @@ class KnownMap:
             field_sd,
             float(np.sqrt((base.sample_field**2).mean())),
             base.sample_field.mean(axis=0),
-            0.0 if (biases := base.field_map.biases) is None else biases.spread,
+            base.field_map.bias_spread,
             _some_factors(noise),
         )
 

@@ -149,10 +149,12 @@ def calibrate(field_map: FieldMap, survey: Survey) -> Calibrated | None:
     if field_map.parts or field_map.config.domain is not None:
         return None
     measured, h = field_map.measured, field_map.hyperparameters
-    if offset_evidence(measured, h) < MIN_EVIDENCE:
+    evidence = offset_evidence(measured, h)
+    if evidence < MIN_EVIDENCE:
         return None
-    # The map solved hard iron. A clock's offset and soft iron leave a field that turns with the sensor all the same.
-    evidence = max(offset_evidence(field_map.survey, h), 0.0)
+    if field_map.biases is not None:
+        # The map solved hard iron. A clock's offset and soft iron leave a field that still turns with the sensor.
+        evidence = max(offset_evidence(field_map.survey, h), 0.0)
     # Imported only when needed: the import is slow.
     from magmatch.preparation.prepare import prepare
 

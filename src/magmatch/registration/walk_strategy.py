@@ -45,11 +45,10 @@ class WalkStrategy:
 
         They are by the length (m) that all bases share, so that none is judged by more bins.
         """
-        biases, noise = index.field_map.biases, index.walks.noise
-        if biases is not None:
-            # The map's sensors lost their biases, this walk's has its own: on a short walk a constant.
-            noise = replace(noise, constant_sd=float(np.hypot(noise.constant_sd, biases.spread)))
-        walks = replace(index.walks, noise=noise)
+        # The map's sensors lost their biases, this walk's has its own: on a short walk a constant.
+        noise = index.walks.noise
+        constant_sd = float(np.hypot(noise.constant_sd, index.field_map.bias_spread))
+        walks = replace(index.walks, noise=replace(noise, constant_sd=constant_sd))
         walk = walk_of(self.samples, length or index.length)
         frames = index.base.T_map_model, walk.T_survey_walk
         prior = pose_prior(self.config.prior, *frames, volume or index.volume, height_range(index.base))
