@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import require_increasing
-from magmatch.cli.info import info_table
+from magmatch.cli.commands.info import info_table
 from magmatch.data.tables.table import Wanted, read_table
 from magmatch.errors import DataFormatError
 from magmatch.number_text import exact, told

@@ -65,7 +65,7 @@ def read(run, files, monkeypatch):
     """Run a command up to where it has read its surveys; gives them by the names of their files."""
     plain, found = magmatch.data.read.read_unchecked, {}
     accepted = SimpleNamespace(T_base_target=RigidTransform.identity())
-    monkeypatch.setattr("magmatch.cli.transform.read_result", lambda _: accepted)
+    monkeypatch.setattr("magmatch.cli.commands.transform.read_result", lambda _: accepted)
 
     def call(command, words, options, **names):
         def recorded(path, layout):
@@ -183,7 +183,7 @@ def test_a_trajectory_that_is_the_file_itself_has_the_units_of_the_file(run, fil
 
 
 def test_options_reach_the_recording_of_a_turned_sensor(files):
-    from magmatch.cli.prepare import read_sensor
+    from magmatch.cli.commands.prepare import read_sensor
 
     turned = Rotation.random(60, rng=RNG).apply([20.0, 0, 45]) * [1.02, 0.97, 1] + [3, -2, 1]
     (files / "plain_turn.csv").write_text("bx,by,bz\n" + rows(1e-6 * turned))

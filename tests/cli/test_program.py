@@ -72,7 +72,7 @@ def test_every_error_is_one_line_and_its_code(error, code, run, monkeypatch, tmp
     def fail(*_args):
         raise error
 
-    monkeypatch.setattr("magmatch.cli.simulate.check_folder", fail)
+    monkeypatch.setattr("magmatch.cli.commands.simulate.check_folder", fail)
     outcome = run("simulate", "uniform", "--out", tmp_path / "x")
     assert outcome.code == code
     assert outcome.err.count("\n") == 1

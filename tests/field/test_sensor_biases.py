@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from dipoles import dipoles
-from magmatch.cli.info import info_table
+from magmatch.cli.commands.info import info_table
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig

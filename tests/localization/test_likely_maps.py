@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk
-from magmatch.cli.localize import tell
+from magmatch.cli.commands.localize import tell
 from magmatch.errors import DataFormatError
 from magmatch.field.config import SPLINE
 from magmatch.localization.belief import Belief

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magmatch.cli.localize import tell
+from magmatch.cli.commands.localize import tell
 from magmatch.geometry import path_walked
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus

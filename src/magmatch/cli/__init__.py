@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The command line: one file per subcommand, each parses, calls one verb, saves and reports."""
+"""The command line: one file per subcommand in ``commands``, and what they share."""
 
 from time import perf_counter
 

@@ -11,23 +11,23 @@ from magmatch._version import __version__
 from magmatch.cli.added import add_others
 from magmatch.cli.boundary import guarded
 from magmatch.cli.command import Debug, Verbose
-from magmatch.cli.convert import convert
-from magmatch.cli.datasets import datasets
-from magmatch.cli.demo import demo
-from magmatch.cli.glossary import glossary
-from magmatch.cli.info import info
-from magmatch.cli.localize import localize
-from magmatch.cli.map import build
-from magmatch.cli.merge import merge
+from magmatch.cli.commands.convert import convert
+from magmatch.cli.commands.datasets import datasets
+from magmatch.cli.commands.demo import demo
+from magmatch.cli.commands.glossary import glossary
+from magmatch.cli.commands.info import info
+from magmatch.cli.commands.localize import localize
+from magmatch.cli.commands.map import build
+from magmatch.cli.commands.merge import merge
+from magmatch.cli.commands.odometry import odometry
+from magmatch.cli.commands.prepare import prepare
+from magmatch.cli.commands.query import query
+from magmatch.cli.commands.register import register
+from magmatch.cli.commands.simulate import simulate
+from magmatch.cli.commands.slam import slam
+from magmatch.cli.commands.transform import transform
+from magmatch.cli.commands.view import view
 from magmatch.cli.narration import narrated, put
-from magmatch.cli.odometry import odometry
-from magmatch.cli.prepare import prepare
-from magmatch.cli.query import query
-from magmatch.cli.register import register
-from magmatch.cli.simulate import simulate
-from magmatch.cli.slam import slam
-from magmatch.cli.transform import transform
-from magmatch.cli.view import view
 
 EPILOG = """\b
 Examples:
