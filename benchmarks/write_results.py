@@ -5,10 +5,10 @@
     python benchmarks/write_results.py --check      # fails where a page differs, or a commit is not in the history
     python benchmarks/write_results.py --release    # fails also where a table is older than the code it covers
 
-A page has ``<!-- table: NAME -->`` where a table begins and ``<!-- end -->`` where it ends. ``<!-- short table: NAME
-{"columns": [...], "where": {COLUMN: [CELLS]}, "counts": [...], "n": COLUMN} -->`` takes some columns and rows,
-without heading and note, and puts 95 % intervals behind counts of n. A table is older than the code where what it
-covers differs from its commit: in the folder, so that a page and the change that ages its tables can be one commit.
+A page has ``<!-- table: NAME {"columns": [...], "where": {COLUMN: [CELLS]}, "counts": [...], "n": COLUMN} -->`` where
+a table begins and ``<!-- end -->`` where it ends; columns and rows are all where none are chosen, and counts of n get
+95 % intervals. A table is older than the code where what it covers differs from its commit: in the folder, so that a
+page and the change that ages its tables can be one commit.
 """
 
 import json
@@ -24,7 +24,7 @@ from magmatch_evaluation.script import arguments
 from magmatch_evaluation.statistics import wilson_interval
 
 PAGES = (Path("README.md"), Path("docs") / "results.md")
-MARK = re.compile(r"(<!-- (short )?table: ([\w-]+) ?(\{.*?\})? ?-->\n).*?(<!-- end -->)", re.DOTALL)
+MARK = re.compile(r"(<!-- table: ([\w-]+) ?(\{.*?\})? ?-->\n).*?(<!-- end -->)", re.DOTALL)
 NOT_RECORDED = "not recorded"
 COUNT = re.compile(r"^(\d+)( of \d+| \(\d+%\))?")  # at the beginning of a cell
 
@@ -67,17 +67,6 @@ def caption(table: ResultTable, history: History) -> str:
     return f"`{table.command}`; commit {commits}, {table.date}.{age}"
 
 
-def whole(table: ResultTable, history: History) -> str:
-    """Lay out a table with its heading, its note and its origin."""
-    blocks = (
-        f"### {table.title}",
-        table.note,
-        markdown_table(table.columns, table.rows),
-        " ".join(text for text in (table.remark, caption(table, history), f"{table.machine}.") if text),
-    )
-    return "\n\n".join(block for block in blocks if block)
-
-
 def with_interval(cell: str, n: int) -> str:
     """Put the 95 % interval of its rate behind a count of n."""
 
@@ -94,7 +83,7 @@ def percent(value: float) -> str:
     return f"{value:.1f}".removesuffix(".0") if round(value) in (0, 100) else f"{value:.0f}"
 
 
-def short(
+def laid_out(
     table: ResultTable, history: History, columns: list[str], where: dict[str, list[str]], counts: list[str], n: str
 ) -> str:
     """Lay out some columns and rows of a table; counts are of column n, or of what another cell of the row says."""
@@ -116,20 +105,19 @@ def filled(page: str, tables: dict[str, ResultTable], history: History) -> str:
     """Put tables between their marks."""
 
     def block(found: re.Match[str]) -> str:
-        begin, is_short, name, options, end = found.groups()
+        begin, name, options, end = found.groups()
         table = tables.get(name)
         if table is None:
             return found.group()
         chosen = {"columns": list(table.columns), "where": {}, "counts": [], "n": "n"} | json.loads(options or "{}")
-        text = short(table, history, **chosen) if is_short else f"\n{whole(table, history)}\n"
-        return f"{begin}{text}\n{end}"
+        return f"{begin}{laid_out(table, history, **chosen)}\n{end}"
 
     return MARK.sub(block, page)
 
 
 def faults(tables: dict[str, ResultTable], root: Path, history: History, *, is_release: bool) -> Iterator[str]:
     """Say what is wrong with tables, and which page asks for one that is not there."""
-    shown = {page: [mark.group(3) for mark in MARK.finditer((root / page).read_text("utf-8"))] for page in PAGES}
+    shown = {page: [mark.group(2) for mark in MARK.finditer((root / page).read_text("utf-8"))] for page in PAGES}
     yield from (f"{page}: no table {name}" for page in PAGES for name in shown[page] if name not in tables)
     # What no page shows is kept as it was printed.
     published = {name for names in shown.values() for name in names}

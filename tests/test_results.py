@@ -57,7 +57,7 @@ def root(tmp_path):
         "src/code.py": "x = 1\n",
         "src/.gitignore": "*.pyc\n",
         "other.txt": "a\n",
-        "README.md": f"# R\n<!-- short table: errors {SOME} -->\n<!-- end -->\n",
+        "README.md": f"# R\n<!-- table: errors {SOME} -->\n<!-- end -->\n",
         "docs/results.md": "# Results\n\n<!-- table: errors -->\n<!-- end -->\n",
         "benchmarks/results/.keep": "",
     }.items():
@@ -76,8 +76,8 @@ def page(root):
 
 def test_a_page_gets_tables_with_what_printed_them(root):
     commits = table([]).load(root / "benchmarks" / "results" / "errors.json").commits
-    assert "### Errors\n\nIn mm.\n\n| case | error |\n| --- | --- |\n| room | 1.0 |\n| walk | 2.0 |\n" in page(root)
-    assert f"One run. `python b.py`; commit {commits[0][:7]}, 2026-01-02. m." in page(root)
+    assert "| case | error |\n| --- | --- |\n| room | 1.0 |\n| walk | 2.0 |\n" in page(root)
+    assert f"Errors: `python b.py`; commit {commits[0][:7]}, 2026-01-02." in page(root)
     assert "| error |\n| --- |\n| 2.0 |\n" in (root / "README.md").read_text()
 
 
@@ -103,7 +103,7 @@ def test_a_row_says_what_its_counts_are_of(root, columns):
     cells = ["20" if name == "n" else "0 of 20" if name == "found" else "0" for name in columns]
     made = table([]).load(root / "benchmarks" / "results" / "errors.json")
     save(root, replace(made, columns=columns, rows=[cells]))
-    short = '<!-- short table: errors {"columns": ["right"], "counts": ["right"]} -->\n<!-- end -->\n'
+    short = '<!-- table: errors {"columns": ["right"], "counts": ["right"]} -->\n<!-- end -->\n'
     (root / "README.md").write_text(short)
     results(root)
     assert "| 0 of 20 (0-16 %) |" in (root / "README.md").read_text()

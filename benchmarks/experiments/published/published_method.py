@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published method in rooms it has never seen, and what it knows where it looks.
 
-    python benchmarks/experiments/published_method.py [--quick] [--rooms 20] [--first-seed 31000000]
+    python benchmarks/experiments/published/published_method.py [--quick] [--rooms 20] [--first-seed 31000000]
         [--scenarios office-random] [--presets paper] [--minutes 600] [--rows FILE] [--save NAME]
 
 Each room is simulated from its own seed, registered, and compared with the truth: right = accepted within 0.10 m and

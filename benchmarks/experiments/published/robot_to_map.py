@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Readings of the published method under which its robot is found in its map, and oracles that say why others fail.
 
-    python benchmarks/experiments/robot_to_map.py [--quick] [--tables 6] [--first-seed 31000000] [--minutes 600]
-        [--rows FILE] [--save NAME]
+    python benchmarks/experiments/published/robot_to_map.py [--quick] [--tables 6] [--first-seed 31000000]
+        [--minutes 600] [--rows FILE] [--save NAME]
 
 Each table of magnets is simulated from its own seed (scenario table-robot) and mapped at three heights, or at the
 robot's height alone, in rows along and across; "middle" keeps samples within 0.72 m of the table's middle, about

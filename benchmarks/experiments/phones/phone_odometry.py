@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Dead reckoning of real walks with phones, against surveyed points and the odometry that the recordings came with.
 
-    python benchmarks/experiments/phone_odometry.py [--from DIR] [--save NAME]
+    python benchmarks/experiments/phones/phone_odometry.py [--from DIR] [--save NAME]
 
 The 20 training logs of IPIN 2023, track 3 (GetSensorData; DIR holds ``ipin2023/`` and ``walks_baselines.json``): 5
 routes of a museum, 59 to 112 m between surveyed points, two walks with each of two phones. Absolute trajectory error:

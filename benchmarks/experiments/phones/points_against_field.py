@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Surveyed points of phones' walks against their field: it is the same where two walks passed one place.
 
-    python benchmarks/experiments/points_against_field.py --data DIR [--floor F2] [--save NAME]
+    python benchmarks/experiments/phones/points_against_field.py --data DIR [--floor F2] [--save NAME]
 
 DIR as for surveyed_walks.py. Dead reckoning is bent to all points of a walk. Straight stretches of 10 m are compared
 with each other walk that passes within 2.5 m by its points: norm and vertical component, each less its mean, moved

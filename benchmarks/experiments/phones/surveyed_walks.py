@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Phones' walks of one floor with surveyed points: dead reckoning, and slam at points that it is not told.
 
-    python benchmarks/experiments/surveyed_walks.py --data DIR [--floor F2] [--walks 10] [--save NAME]
+    python benchmarks/experiments/phones/surveyed_walks.py --data DIR [--floor F2] [--walks 10] [--save NAME]
 
 DIR holds a folder of XYZ10's logs for each floor (`magmatch datasets list` names the source). Taken are the walks
 that pass most often near each other, by their surveyed points. *Odometry*: rms distance of dead reckoning to all
