@@ -14,8 +14,6 @@ from magmatch.cli.narration import Narrator
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.errors import ConfigurationError, first_fault
 
-LAYOUT_PANEL = "How to read the survey"
-
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
@@ -52,6 +50,9 @@ def command(
     own besides (None: there are none of either).
     """
     epilog = "\b\nExamples:\n" + "\n".join(f"  {example}" for example in examples)
+    if surveys is not None and len(surveys) > 1:
+        own = ", ".join(flag_of(survey, "field_unit") for survey in surveys)
+        epilog = f"\b\nOptions for reading one file alone have its name in front:\n  {own}, and so on\n\n{epilog}"
     extra = {} if surveys is None else _layout_parameters(("", *surveys), reads)
 
     def decorate(function: Callable[..., int | None]) -> Callable[[typer.Typer], None]:
@@ -110,10 +111,9 @@ def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
 def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tuple[str, str], Any]]:
     """One option per setting of `SurveyFormat` and survey: parameter name -> ((survey, setting), annotation).
 
-    Those of a single survey are understood, as typed for `register`, but not listed: they would say everything twice.
+    Those of one survey are understood but not listed: they would say everything twice.
     """
     parameters: dict[str, tuple[tuple[str, str], Any]] = {}
-    is_single = len(surveys) == 2  # all and its own
     for survey in surveys:
         prefix = f"{survey}_" if survey else ""
         for name, field in SurveyFormat.model_fields.items():
@@ -121,11 +121,8 @@ def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tu
             what = str(field.description)
             # A placeholder keeps its capitals.
             first = what[0] if what[1:2].isupper() else what[0].lower()
-            words = f"The same for {survey.upper()} alone." if survey else f"{reads}: {first}{what[1:]}"
-            is_hidden = is_single and bool(survey)
-            option = typer.Option(
-                flag, help=words, rich_help_panel=LAYOUT_PANEL, show_default=False, hidden=is_hidden
-            )
+            words = f"{reads}: {first}{what[1:]}"
+            option = typer.Option(flag, help=words, show_default=False, hidden=bool(survey))
             kind: Any = field.annotation
             parameters[prefix + name] = ((survey, name), Annotated[kind | None, option])
     return parameters

@@ -57,7 +57,9 @@ def build(
     ] = None,
     domain: Annotated[
         str | None,
-        typer.Option(help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; by default the samples' bounding box."),
+        typer.Option(
+            help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; by default to about a lengthscale from the samples."
+        ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML file of field settings (lengthscale, noise_sd, ...).")

@@ -15,13 +15,14 @@ EXAMPLES = (
     "magmatch odometry walk.zip --out walk.tum",
     "magmatch prepare walk.zip --trajectory walk.tum --out walk.csv",
 )
+APPS = "phyphox, AndroSensor, Sensor Logger, GetSensorData, XYZ10, Android"
 
 
 @command("odometry", EXAMPLES)
 def odometry(
     log: Annotated[
         Path,
-        typer.Argument(help="Phone's log: phyphox, Sensor Logger, GetSensorData, XYZ10, Android.", metavar="LOG"),
+        typer.Argument(help=f"Phone's log: {APPS}.", metavar="LOG"),
     ],
     out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
     step_scale: Annotated[
@@ -45,7 +46,7 @@ def odometry(
 
     check_outputs((out,), inputs=(log,))
     if (kind := sniff(log)) != "phone":
-        words = f"is a {kind} file, expected a phone's log (phyphox, Sensor Logger, GetSensorData, XYZ10, Android)"
+        words = f"is a {kind} file, expected a phone's log ({APPS})"
         raise DataFormatError(log, words)
     config = DeadReckoningConfig(step_scale=step_scale)
     walk = dead_reckon(
