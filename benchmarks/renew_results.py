@@ -71,11 +71,11 @@ RUNS = (
     ),
     Run(
         ("many-rooms", "different-places"),
-        "experiments/many_rooms.py --first 188920970 --rooms 50 --pairs 2000 --jobs {jobs} --out {out}",
+        "experiments/many_rooms.py --first 188920970 --rooms 50 --pairs 1500 --jobs {jobs} --out {out}",
         28,
         "--save {0} --save-pairs {1}",
     ),
-    Run(("newcomers",), "experiments/newcomers.py --minutes 12 --jobs {jobs} --data {data} --out {out}", 13),
+    Run(("newcomers",), "experiments/newcomers.py --minutes 10 --jobs {jobs} --data {data} --out {out}", 13),
     Run(
         ("localize-others",),
         "experiments/localize_evidence.py --table others --minutes 10 --jobs {jobs} --data {data} --out {out}",
@@ -83,12 +83,12 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 165268575 --seeds 2 --minutes 12 --jobs {jobs} --out {out}",
+        "experiments/slam_scenarios.py --first 165268575 --seeds 2 --minutes 10 --jobs {jobs} --out {out}",
         13,
     ),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
-        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 10 --first 170474126 "
+        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 8 --first 170474126 "
         "--jobs {jobs} --from {data} --out {out}",
         24,
         "--save",

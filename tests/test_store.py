@@ -202,8 +202,7 @@ HOSTILE = {
     "offsets that overlap": (crafted(entry(data_offsets=[8, 40])), "bytes from"),
     "offsets beyond the end": (crafted(entry(data_offsets=[0, 2**62])), "expected dtype, shape and offsets"),
     "another file": (b"x,y,z,bx,by,bz\n", "is not a file that magmatch saved: it begins with b'x,y,z,bx"),
-    "a map of an earlier version": (b"PK\x03\x04" + bytes(90), "perhaps by an earlier one; make it again (a map"),
-    "a session of an earlier version": (b'{\n  "schema": "magmatch.slam', "perhaps by an earlier one; make it again"),
+    "an archive": (b"PK\x03\x04" + bytes(90), "is not a file that magmatch saved"),
 }  # fmt: skip
 
 

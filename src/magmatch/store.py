@@ -50,8 +50,6 @@ DTYPES = {
     "U16": "<u2", "U8": "|u1", "BOOL": "|b1",
 }  # fmt: skip
 CODES = {dtype: code for code, dtype in DTYPES.items()}
-# How files begin that earlier versions wrote.
-EARLIER = (b"PK\x03\x04", b"magmatch.arrays\n", b"{")
 Kinds = Sequence[type]
 
 
@@ -208,9 +206,6 @@ def _opened(raw: np.ndarray, schema: str, path: str | Path) -> Stored:
 
 def _refuse_other(path: str | Path, start: bytes) -> None:
     """Say what a file is that `save` did not write."""
-    if start.startswith(EARLIER):
-        advice = "make it again (a map with 'magmatch map SURVEY --out MAP')"
-        raise DataFormatError(path, f"was not saved by this version of magmatch, perhaps by an earlier one; {advice}")
     found = "nothing" if not start else f"{start[:16]!r}"
     raise DataFormatError(path, f"is not a file that magmatch saved: it begins with {found}")
 

@@ -125,10 +125,6 @@ FOREIGN_CASES = {
     "damaged zip": (zipped(a="b")[:20], ["damaged zip"]),
     "a saved map": (bytes(8) + b'{"__metadata__":{', ["saved map", "FieldMap.load"]),
     "a saved session": (dumps("magmatch.slam.session/8", {}), ["magmatch.slam.session/8", "expected a survey"]),
-    "a map of an earlier version": (
-        zipped(**{"manifest/zarr.json": "{}"}),
-        ["earlier version", "magmatch map SURVEY"],
-    ),
     "another zip": (zipped(**{"a.bin": "x"}), ["zip archive", "unpack"]),
     "a registration": (b'{"schema": "magmatch.registration/1"}', ["registration result", "expected a survey"]),
     "other JSON": (b'{"schema": "other/1"}', ["other/1"]),

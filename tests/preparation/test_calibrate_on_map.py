@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.field.cholesky.cells import count_active_cells
-from magmatch.preparation.calibrate_on_map import calibrate, sizes_of, switches_of
+from magmatch.preparation.calibrate_on_map import calibrate, switches_of
 from magmatch.preparation.calibration_steps import calibration_steps
 from magmatch.preparation.config import PreparationConfig, TimeOffsetConfig
 from magmatch.preparation.sensor_log import SensorLog
@@ -52,15 +52,12 @@ def test_the_clocks_offset_is_found_from_translation_alone():
     assert found.without["time_offset"] > 1.2 * found.inconsistency[1]
 
 
-def test_switches_are_what_may_be_estimated_and_sizes_those_of_the_sensors_own_errors():
+def test_switches_are_what_may_be_estimated():
     log = log_of()
     channels = {"motor": np.arange(len(log.readings)), "rest": np.ones(len(log.readings))}
     remove = PreparationConfig.model_validate({"currents": {"mode": "remove"}, "calibration": {"soft_iron": "off"}})
     switches = switches_of(remove, log, channels)
     assert set(switches) == {"hard_iron", "misalignment", "time_offset", "channel motor"}
-    assert set(sizes_of(remove, switches)) == {"hard_iron", "misalignment"}
-    c = remove.calibration
-    assert sizes_of(remove, switches) == {"hard_iron": c.hard_iron_sd, "misalignment": c.misalignment_sd}
     assert set(switches_of(CLOCK_ALONE, log, channels)) == {"time_offset"}
 
 

@@ -12,11 +12,11 @@ from magmatch.data.survey import Survey
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.preparation.config import CalibrationConfig
+from magmatch.preparation.sensor_model import EXPECTED_SD
 from magmatch.preparation.sensor_trace import MIN_EVIDENCE, offset_evidence
 from oracles.dense_matrix import to_dense
 
-HARD_IRON_SD = CalibrationConfig().hard_iron_sd
+HARD_IRON_SD = EXPECTED_SD["hard_iron"]
 
 
 def evidence(survey):

@@ -43,15 +43,6 @@ def test_squared_rmse_is_squared_mean_plus_variance(errors):
     assert found.rmse**2 == pytest.approx(np.mean(errors) ** 2 + found.sd**2, rel=1e-9, abs=1e-12)
 
 
-@given(st.lists(st.floats(0, 1e3), min_size=1, max_size=50), st.floats(0.01, 1.0))
-def test_quantile_is_an_observed_error_that_the_asked_share_does_not_exceed(errors, q):
-    found = np.quantile(errors, q, method="inverted_cdf")
-    ordered = np.sort(errors)
-    from magmatch_evaluation.statistics import quantile
-
-    assert quantile(ordered, q) == found
-
-
 def test_half_failed_trials_have_no_p95_and_more_than_half_no_median():
     half = spread([1.0, 2.0, math.inf, math.inf])
     assert half.median == 2.0

@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from magmatch.arguments import column_of, expect_path, expect_rotations, points_of, require_increasing
 from magmatch.brief import brief
+from magmatch.data.tables.ordered_table import read_ordered
 from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table
-from magmatch.data.tables.tum import read_tum, write_tum
+from magmatch.data.tables.tum import TUM_COLUMNS, write_tum
 from magmatch.errors import DataFormatError
 from magmatch.number_text import told
 from magmatch.typing import Mask, Points, Scalars
@@ -105,7 +106,7 @@ class Trajectory:
             With the line at fault.
         """
         expect_path(path)
-        return cls.from_table(read_tum(path))
+        return cls.from_table(read_ordered(path, TUM_COLUMNS)[0])
 
     @classmethod
     def from_table(cls, table: Table) -> "Trajectory":

@@ -6,9 +6,15 @@ import numpy as np
 from magmatch.data.sensor_axes import find_stuck
 from magmatch.errors import SurveyError
 from magmatch.estimation.gauss_newton import student_weights
-from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.least_squares import MEDIAN_TO_SD, MOST_STEPS, ParameterBlock, Solution, System
-from magmatch.preparation.sensor_model import SOFT_IRON_BASIS, SensorCorrection, model_of, why_no_field, why_no_sensor
+from magmatch.preparation.sensor_model import (
+    EXPECTED_SD,
+    SOFT_IRON_BASIS,
+    SensorCorrection,
+    model_of,
+    why_no_field,
+    why_no_sensor,
+)
 from magmatch.typing import Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50
@@ -32,7 +38,6 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorCorrection, Solution]:
     if len(readings) < FEWEST_READINGS:
         msg = f"expected at least {FEWEST_READINGS} readings of a sensor turned about, got {len(readings)}"
         raise SurveyError(msg)
-    sizes = CalibrationConfig()
     center, weights = _sphere(readings)
     model = SensorCorrection(shift=center)
     values = {"hard_iron": model.shift, "soft_iron": np.zeros(5)}
@@ -42,8 +47,7 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorCorrection, Solution]:
         u = corrected / magnitude[:, None]
         columns = {"hard_iron": -u.T, "soft_iron": np.einsum("ni,kij,nj->kn", u, SOFT_IRON_BASIS, readings)}
         y = magnitude - sum(values[name] @ columns[name] for name in columns)
-        scale = {"hard_iron": sizes.hard_iron_sd, "soft_iron": sizes.soft_iron_sd}
-        blocks = {name: ParameterBlock(column[..., None], scale[name]) for name, column in columns.items()}
+        blocks = {name: ParameterBlock(column[..., None], EXPECTED_SD[name]) for name, column in columns.items()}
 
         def project(c: np.ndarray, w: np.ndarray = weights) -> tuple[np.ndarray, np.ndarray]:
             left = c * w[:, None]

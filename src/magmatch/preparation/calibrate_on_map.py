@@ -15,6 +15,7 @@ from magmatch.preparation.least_squares import ParameterBlock, Solution, System
 from magmatch.preparation.sensor_log import SensorLog
 from magmatch.preparation.sensor_model import (
     CHANNEL,
+    EXPECTED_SD,
     PIECE,
     SensorCorrection,
     channel_blocks,
@@ -80,7 +81,7 @@ def calibrate(
         return None
     rows = rows[:: -(-len(rows) // config.n_samples)]
     part, values = sensor_log.subset(rows), {name: column[rows] for name, column in channels.items()}
-    sizes = sizes_of(config, switches)
+    sizes = {name: size for name, size in EXPECTED_SD.items() if name in switches}
     start = _rough_model(part, largest, sizes)
     estimator = _Estimator(part, values, sizes, coarse_settings(part.positions), largest)
     tell("calibrating against a coarse map of the place")
@@ -157,13 +158,6 @@ def switches_of(
         switches |= {CHANNEL + name: "auto" for name, values in channels.items() if np.ptp(values) > 0}
     switches |= {CHANNEL + name: "auto" for name in channels if name.startswith(PIECE)}
     return {name: switch for name, switch in switches.items() if switch != "off"}
-
-
-def sizes_of(config: PreparationConfig, switches: Mapping[str, Switch]) -> dict[str, float]:
-    """Expected sizes of the sensor's own errors."""
-    c = config.calibration
-    sizes = {"hard_iron": c.hard_iron_sd, "soft_iron": c.soft_iron_sd, "misalignment": c.misalignment_sd}
-    return {name: size for name, size in sizes.items() if name in switches}
 
 
 def _least_shown(

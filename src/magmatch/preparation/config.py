@@ -38,13 +38,6 @@ class CalibrationConfig(Settings):
     soft_iron: Switch = "auto"
     # A small turn of the sensor against the frame of the poses (0.6 rad at most, where it is still linear enough).
     misalignment: Switch = "auto"
-    # How large hard iron is expected to be (standard deviation, T): phones and robots show tens of uT. What the data
-    # do not tell stays at 0, not at this; so with the next two.
-    hard_iron_sd: float = Field(default=50e-6, gt=0)
-    # The same of soft iron, a share: what gains and mounting leave.
-    soft_iron_sd: float = Field(default=0.05, gt=0)
-    # The same of misalignment, rad: a few degrees are what mounting leaves.
-    misalignment_sd: float = Field(default=0.1, gt=0)
 
 
 class CurrentsConfig(Settings):

@@ -32,6 +32,9 @@ SOFT_IRON_BASIS = np.array([np.diag([1.0, -1.0, 0.0]), np.diag([-0.5, -0.5, 1.0]
 MOST_SOFT_IRON = 0.3
 # rad: beyond, a misalignment is not linear enough.
 MOST_TURN = 0.6
+# Standard deviation of each error beforehand (T, a share, rad): phones and robots show tens of uT of hard iron, gains
+# a few per cent, mounting a few degrees. What the data do not tell stays at 0, not at this.
+EXPECTED_SD = {"hard_iron": 50e-6, "soft_iron": 0.05, "misalignment": 0.1}
 # Share of the field that noise may add to its spread.
 NOISE = 0.01
 

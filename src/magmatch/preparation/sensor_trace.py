@@ -12,8 +12,8 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import integrated_autocorrelation_time
 from magmatch.field.subset import choose_part
 from magmatch.field.tiles.region_model import fit_operations
-from magmatch.preparation.config import CalibrationConfig
 from magmatch.preparation.consistency import MapConsistency
+from magmatch.preparation.sensor_model import EXPECTED_SD
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Points
 
@@ -62,7 +62,7 @@ def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     noise = together * max(h.noise_sd**2, float((residual**2).mean()))
     products = np.einsum("inc,jnc->ij", left[:3], right) / noise
     values, vectors = np.linalg.eigh((products[:, :3] + products[:, :3].T) / 2)
-    scores, precision = vectors.T @ products[:, 3], CalibrationConfig().hard_iron_sd ** -2
+    scores, precision = vectors.T @ products[:, 3], EXPECTED_SD["hard_iron"] ** -2
     gains = scores**2 / (2 * (np.maximum(values, 0) + precision)) - np.log1p(np.maximum(values, 0) / precision) / 2
     return float(gains.max())
 

@@ -34,7 +34,7 @@ def error_figure(experiment: Experiment, rows: Sequence[AnyRow]) -> "Figure":
 
     A curve that ends below one has trials without a pose.
     """
-    go, traces = require_plotly(), []
+    traces = []
     for method in experiment.methods:
         own = [r for r in rows if isinstance(r, Row) and (r.experiment, r.method) == (experiment.name, method)]
         errors = np.sort([r.distance for r in own])
@@ -42,13 +42,8 @@ def error_figure(experiment: Experiment, rows: Sequence[AnyRow]) -> "Figure":
             continue
         share = np.arange(1, len(errors) + 1) / len(errors)
         has_pose = np.isfinite(errors)
-        color, symbol, dash = STYLES.get(method, UNKNOWN)
-        traces.append(
-            go.Scatter(
-                x=1e3 * np.maximum(errors[has_pose], 1e-6), y=share[has_pose], name=method, mode="lines+markers",
-                line={"color": color, "dash": dash, "shape": "hv"}, marker={"symbol": symbol, "size": 6},
-            )
-        )  # fmt: skip
+        x = 1e3 * np.maximum(errors[has_pose], 1e-6)
+        traces.append(_line(method, x, share[has_pose], shape="hv", size=6))
     title = (
         f"{experiment.name}<br><sub>{experiment.title}; share of trials whose best pose is at most so far off</sub>"
     )
@@ -88,9 +83,9 @@ def curve_figures(what: str, axis: str, experiments: Sequence[Experiment], found
     ]
 
 
-def _line(method: str, x: Any, y: Any, **more: Any) -> Any:
+def _line(method: str, x: Any, y: Any, *, shape: str = "linear", size: int = 8, **more: Any) -> Any:
     color, symbol, dash = STYLES.get(method, UNKNOWN)
     return require_plotly().Scatter(
-        x=x, y=y, name=method, mode="lines+markers", line={"color": color, "dash": dash},
-        marker={"symbol": symbol, "size": 8}, **more,
+        x=x, y=y, name=method, mode="lines+markers", line={"color": color, "dash": dash, "shape": shape},
+        marker={"symbol": symbol, "size": size}, **more,
     )  # fmt: skip

@@ -94,15 +94,12 @@ def is_right(row: Row, tolerance: Tolerance) -> bool:
 
 def spread(errors: Sequence[float]) -> Spread:
     """Sum up errors, at least one, of which some may be infinite."""
-    values = np.sort(np.asarray(errors, dtype=np.float64))
+    values = np.asarray(errors, dtype=np.float64)
     finite = values[np.isfinite(values)]
     rmse, sd = (float(np.sqrt(np.mean(finite**2))), float(np.std(finite))) if len(finite) else (math.inf, math.nan)
-    return Spread(rmse, sd, quantile(values, 0.5), quantile(values, 0.95))
-
-
-def quantile(ordered: np.ndarray, q: float) -> float:
-    """Return the smallest value that at least a share q does not exceed: never between a number and infinity."""
-    return float(ordered[max(math.ceil(q * len(ordered) - 1e-9) - 1, 0)])
+    # Errors that were seen: never between a number and infinity.
+    median, p95 = np.quantile(values, [0.5, 0.95], method="inverted_cdf").tolist()
+    return Spread(rmse, sd, median, p95)
 
 
 def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:

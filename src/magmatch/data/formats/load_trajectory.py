@@ -14,7 +14,7 @@ from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.tables.ordered_table import read_ordered
 from magmatch.data.tables.table import Table
-from magmatch.data.tables.tum import read_tum
+from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.units import METRE_PER_UNIT, LengthUnit, TimeUnit
 from magmatch.errors import DataFormatError
@@ -36,7 +36,8 @@ def load_trajectory(path: str | Path, layout: SurveyFormat, time_unit: TimeUnit 
     if kind == "euroc":
         table = read_euroc(path, EUROC_POSES, unit, recover=layout.recover)
     else:
-        table = read_tum(path, unit, time_unit or layout.trajectory_time_unit, recover=layout.recover)
+        times = time_unit or layout.trajectory_time_unit
+        table = read_ordered(path, TUM_COLUMNS, times, unit, recover=layout.recover)[0]
     return Trajectory.from_table(table).scaled(metre)
 
 

@@ -89,10 +89,10 @@ def sniff(path: str | Path) -> FileKind:
 
 
 def may_be_map(path: Path) -> bool:
-    """Whether a file of a folder is a saved map, of this or an earlier version, damaged or not."""
+    """Whether a file of a folder is a saved map, damaged or not; archives and workbooks beside maps are none."""
     with path.open("rb") as stream:
         head = stream.read(_STORED_HEAD)
-    return (_is_stored(head) and not _other_schema(head)) or (head.startswith(b"PK") and sniff(path) == "map")
+    return _is_stored(head) and not _other_schema(head)
 
 
 def text_log_of(head: bytes) -> ModuleType | None:
@@ -181,9 +181,6 @@ def _sniff_archive(path: str | Path) -> FileKind:
         raise DataFormatError(
             path, "is a NumPy .npz archive, expected a survey (CSV) or a saved map; export it as CSV"
         )
-    if "manifest/zarr.json" in members:
-        advice = "build it again from its survey with 'magmatch map SURVEY --out MAP'"
-        raise DataFormatError(path, f"is a map of an earlier version of magmatch; {advice}")
     raise DataFormatError(path, f"is a zip archive of {len(members)} files, none of them a phone's; unpack it first")
 
 

@@ -7,23 +7,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.atomic import atomic_write
-from magmatch.data.tables.ordered_table import read_ordered
-from magmatch.data.tables.table import Table
-from magmatch.data.units import LengthUnit, TimeUnit
 from magmatch.number_text import exact
 from magmatch.typing import Points, Scalars
 
 TUM_COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
-
-
-def read_tum(
-    path: str | Path, length_unit: LengthUnit = "m", time_unit: TimeUnit = "s", *, recover: bool | None = None
-) -> Table:
-    """Read the rows of a TUM file, or of any table that names these columns; times in s.
-
-    The units are those of the file's numbers, unless its header states that of the times.
-    """
-    return read_ordered(path, TUM_COLUMNS, time_unit, length_unit, recover=recover)[0]
 
 
 def write_poses(path: str | Path, times: Scalars, poses: RigidTransform | None) -> None:

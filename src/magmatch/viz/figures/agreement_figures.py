@@ -16,7 +16,7 @@ from magmatch.registration.result import RegistrationResult
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.draw import thinned
-from magmatch.viz.figures.slices import Cut, cut_through, map_in
+from magmatch.viz.figures.slices import Cut, cut_through, heatmap, map_in
 
 # Normalised residual beyond which a sample is marked: of right ones, about 1 in 1000 (chi-square, three degrees).
 LARGEST_ORDINARY = 2.33
@@ -109,15 +109,9 @@ def agreement_figures(base_map: FieldMap, compared: Comparison) -> list[draw.Fig
 def overlap_figure(base_map: FieldMap, compared: Comparison) -> draw.Figure:
     """Plan of the known part of the base, and which samples of the target fall into it."""
     cut = cut_through(np.concatenate([base_map.survey.positions, compared.positions]))
-    known = base_map.knows(cut.points).reshape(len(cut.second), len(cut.first))
-    shade = draw.require_plotly().Heatmap(
-        x=draw.for_display(cut.first),
-        y=draw.for_display(cut.second),
-        z=np.where(known, 1, np.nan).astype(np.float32),
-        colorscale=[[0, draw.SHADE], [1, draw.SHADE]],
-        showscale=False,
-        hoverinfo="skip",
-    )
+    known = base_map.knows(cut.points)
+    bare = {"showscale": False, "hoverinfo": "skip", "hovertemplate": None}
+    shade = heatmap(cut, np.ones(len(known)), known, (0.0, 1.0), [[0, draw.SHADE], [1, draw.SHADE]], **bare)
     inside = _seen(
         cut, compared.positions[compared.is_known], "inside", symbol=draw.TARGET_MARKER, color=draw.TARGET_COLOR
     )

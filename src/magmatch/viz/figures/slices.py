@@ -78,7 +78,7 @@ def field_on(cut: Cut, field_map: FieldMap, T_cut_map: RigidTransform | None = N
     return rotate_vectors(field_map.evaluate(p_map).field, T), field_map.knows(p_map)
 
 
-def heatmap(cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, float], scale: str, **style: Any) -> Any:
+def heatmap(cut: Cut, values: Scalars, is_known: Mask, limits: tuple[float, float], scale: Any, **style: Any) -> Any:
     """Draw numbers in uT over a cut; blank where they are not known."""
     image = np.where(is_known, values, np.nan).reshape(len(cut.second), len(cut.first))
     names = ["xyz"[axis] for axis in cut.axes]
