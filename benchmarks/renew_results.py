@@ -71,7 +71,7 @@ RUNS = (
     ),
     Run(
         ("many-rooms", "different-places"),
-        "experiments/many_rooms.py --first 188920970 --rooms 50 --pairs 1500 --jobs {jobs} --out {out}",
+        "experiments/many_rooms.py --first 188920970 --rooms 50 --pairs 1000 --jobs {jobs} --out {out}",
         28,
         "--save {0} --save-pairs {1}",
     ),

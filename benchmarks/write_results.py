@@ -93,7 +93,8 @@ def laid_out(
         if not all(row[name] in some for name, some in where.items()):
             continue
         of = row.get(n) or next(iter(re.findall(r"\d of (\d+)", " ".join(row.values()))), "0")
-        shown = [with_interval(row[name], int(of)) if name in counts else row[name] for name in columns]
+        total = int(of.replace(",", ""))
+        shown = [with_interval(row[name], total) if name in counts else row[name] for name in columns]
         cells.append([re.sub("^nan .*", "-", cell) for cell in shown])
     if not cells:
         message = f"no row of {table.title!r} is where {where}"

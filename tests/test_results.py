@@ -100,13 +100,14 @@ def test_counts_are_shown_with_what_they_are_of_and_the_interval_of_their_rate(c
 
 @pytest.mark.parametrize("columns", [["n", "right"], ["right", "found"]])
 def test_a_row_says_what_its_counts_are_of(root, columns):
-    cells = ["20" if name == "n" else "0 of 20" if name == "found" else "0" for name in columns]
+    cells = ["1,000" if name == "n" else "0 of 20" if name == "found" else "0" for name in columns]
     made = table([]).load(root / "benchmarks" / "results" / "errors.json")
     save(root, replace(made, columns=columns, rows=[cells]))
     short = '<!-- table: errors {"columns": ["right"], "counts": ["right"]} -->\n<!-- end -->\n'
     (root / "README.md").write_text(short)
     results(root)
-    assert "| 0 of 20 (0-16 %) |" in (root / "README.md").read_text()
+    shown = "0 of 1000 (0-0.4 %)" if "n" in columns else "0 of 20 (0-16 %)"
+    assert f"| {shown} |" in (root / "README.md").read_text()
 
 
 def test_a_table_of_todays_code_passes_all_checks(root):
