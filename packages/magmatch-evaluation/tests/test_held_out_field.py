@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The mapping table asks every model for the same points and knows the truth there."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
+from magmatch.field.sensor_biases import SensorBiases
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.baselines.interpolation import inverse_distance, local_gp, nearest_neighbour
 from magmatch_evaluation.benchmark import evaluate
 from magmatch_evaluation.experiments import Experiment
-from magmatch_evaluation.held_out_field import PREDICTORS, HeldOut, SimulatedField, differences
+from magmatch_evaluation.held_out_field import PREDICTORS, HeldOut, SimulatedField, differences, read_beside
 from magmatch_evaluation.plan import make_plan
 
 
@@ -43,6 +47,16 @@ def test_peer_has_the_error_that_it_has():
     assert field_rmse == pytest.approx(5e-6)
     assert np.isnan(gradient_rmse)
     assert np.isnan(coverage)
+
+
+def test_a_held_out_stretch_is_read_with_the_bias_of_its_sensor():
+    rng = np.random.default_rng(3)
+    points, turns, bias = rng.uniform(0, 1, (50, 3)), Rotation.random(50, rng), np.array([2e-6, -1e-6, 3e-6])
+    rest = Survey(points, linear(points) + turns.apply(bias), orientations=turns)
+    of_one = SimpleNamespace(biases=SensorBiases(bias[None], np.full((1, 3), 1e-7), 2e-6))
+    np.testing.assert_allclose(read_beside(of_one, rest), turns.apply(bias), atol=1e-18)
+    assert not read_beside(of_one, None).any()
+    assert not read_beside(SimpleNamespace(biases=None), rest).any()
 
 
 def test_mapping_rows_are_kept_and_not_made_twice(tmp_path):

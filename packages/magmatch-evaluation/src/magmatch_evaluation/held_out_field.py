@@ -11,6 +11,7 @@ import numpy as np
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.field.map import FieldMap
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.scenarios import build_scene
 from magmatch.simulation.scene import Streams
@@ -28,7 +29,8 @@ N_QUERIES = 400
 class HeldOut:
     """Samples to learn from, and field (T) and gradient (T/m, None where unknown) at other points (m).
 
-    ``is_noisy`` says that the field at the queries was measured rather than computed.
+    ``is_noisy`` says that the field at the queries was measured rather than computed; ``rest`` are these samples, if
+    the sensor of the survey measured them, with its bias.
     """
 
     survey: Survey
@@ -36,6 +38,7 @@ class HeldOut:
     field: Vectors
     gradient: Tensors | None
     is_noisy: bool
+    rest: Survey | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,9 @@ class RecordedField:
             is_out = np.arange(len(survey)) * 10 // len(survey) == (3 * seed + 2) % 10
             survey, other = survey.subset(~is_out), survey.subset(is_out)
         rows = np.linspace(0, len(other) - 1, min(len(other), 10 * N_QUERIES)).astype(int)
-        return HeldOut(survey, other.positions[rows], other.field[rows], None, is_noisy=True)
+        other = other.subset(rows)
+        rest = other if self.test is None else None
+        return HeldOut(survey, other.positions, other.field, None, is_noisy=True, rest=rest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +111,7 @@ class Predictor:
         else:
             field_map = build_map(survey, FieldConfig.model_validate({"prior": self.name}))
             values = field_map.evaluate(queries, order=1)
-            mean, gradient = values.field, values.gradient
+            mean, gradient = values.field + read_beside(field_map, held_out.rest), values.gradient
             variance = np.diagonal(field_map.covariance(queries), axis1=1, axis2=2)
             variance = variance + (field_map.hyperparameters.noise_sd**2 if held_out.is_noisy else 0.0)
             coverage = float(np.mean(np.abs(mean - held_out.field) < 1.96 * np.sqrt(variance)))
@@ -114,6 +119,14 @@ class Predictor:
         if gradient is None or held_out.gradient is None:
             return field_rmse, math.nan, coverage
         return field_rmse, float(np.sqrt(((gradient - held_out.gradient) ** 2).sum(axis=(1, 2)).mean())), coverage
+
+
+def read_beside(field_map: FieldMap, rest: Survey | None) -> Vectors:
+    """What the sensor of a map's only log reads beside the field, T: a map holds no bias, and readings do."""
+    if rest is None or field_map.biases is None:
+        return np.zeros(3)
+    (unbiased,) = field_map.biases.without([rest])
+    return np.asarray(rest.field - unbiased.field)
 
 
 PREDICTORS: dict[str, Predictor] = {
