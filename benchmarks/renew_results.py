@@ -75,7 +75,7 @@ RUNS = (
         28,
         "--save {0} --save-pairs {1}",
     ),
-    Run(("newcomers",), "experiments/newcomers.py --minutes 10 --jobs {jobs} --data {data} --out {out}", 13),
+    Run(("newcomers",), "experiments/newcomers.py --minutes 10 --jobs {jobs} --data {data} --out {out}", 11),
     Run(
         ("localize-others",),
         "experiments/localize_evidence.py --table others --minutes 10 --jobs {jobs} --data {data} --out {out}",
@@ -83,8 +83,8 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 165268575 --seeds 2 --minutes 10 --jobs {jobs} --out {out}",
-        13,
+        "experiments/slam_scenarios.py --first 165268575 --seeds 2 --minutes 18 --jobs {jobs} --out {out}",
+        19,
     ),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
