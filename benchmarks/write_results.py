@@ -26,7 +26,7 @@ from magmatch_evaluation.statistics import wilson_interval
 PAGES = (Path("README.md"), Path("docs") / "results.md")
 MARK = re.compile(r"(<!-- table: ([\w-]+) ?(\{.*?\})? ?-->\n).*?(<!-- end -->)", re.DOTALL)
 NOT_RECORDED = "not recorded"
-COUNT = re.compile(r"^(\d+)( of \d+| \(\d+%\))?")  # at the beginning of a cell
+COUNT = re.compile(r"^([\d,]+)( of [\d,]+| \(\d+%\))?")  # at the beginning of a cell
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,16 @@ def with_interval(cell: str, n: int) -> str:
     """Put the 95 % interval of its rate behind a count of n."""
 
     def counted(found: re.Match[str]) -> str:
-        k = int(found.group(1))
+        k = number(found.group(1))
         low, high = (percent(100 * end) for end in wilson_interval(k, n))
         return f"{k} of {n} ({low}-{high} %)"
 
     return COUNT.sub(counted, cell)
+
+
+def number(words: str) -> int:
+    """Read a count, whose thousands may be parted by commas."""
+    return int(words.replace(",", ""))
 
 
 def percent(value: float) -> str:
@@ -92,9 +97,8 @@ def laid_out(
     for row in rows:
         if not all(row[name] in some for name, some in where.items()):
             continue
-        of = row.get(n) or next(iter(re.findall(r"\d of (\d+)", " ".join(row.values()))), "0")
-        total = int(of.replace(",", ""))
-        shown = [with_interval(row[name], total) if name in counts else row[name] for name in columns]
+        of = row.get(n) or next(iter(re.findall(r"\d of ([\d,]+)", " ".join(row.values()))), "0")
+        shown = [with_interval(row[name], number(of)) if name in counts else row[name] for name in columns]
         cells.append([re.sub("^nan .*", "-", cell) for cell in shown])
     if not cells:
         message = f"no row of {table.title!r} is where {where}"

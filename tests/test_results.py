@@ -91,11 +91,21 @@ def test_a_page_gets_tables_with_what_printed_them(root):
         ("0", 812, "0 of 812 (0-0.5 %)"),
         ("812", 812, "812 of 812 (99.5-100 %)"),
         ("3", 812, "3 of 812 (0.1-1 %)"),
+        ("1,196 of 1,200 within 5 mm", 1200, "1196 of 1200 (99-99.9 %) within 5 mm"),
         ("-", 20, "-"),
     ],
 )
 def test_counts_are_shown_with_what_they_are_of_and_the_interval_of_their_rate(cell, n, shown):
     assert write_results.with_interval(cell, n) == shown
+
+
+def test_what_a_count_is_of_may_be_thousands(root):
+    made = table([]).load(root / "benchmarks" / "results" / "errors.json")
+    save(root, replace(made, columns=["right"], rows=[["0 of 1,200"]]))
+    short = '<!-- table: errors {"counts": ["right"]} -->\n<!-- end -->\n'
+    (root / "README.md").write_text(short)
+    results(root)
+    assert "| 0 of 1200 (0-0.3 %) |" in (root / "README.md").read_text()
 
 
 @pytest.mark.parametrize("columns", [["n", "right"], ["right", "found"]])
