@@ -7,10 +7,11 @@
 
 A page has ``<!-- table: NAME {"columns": [...], "where": {COLUMN: [CELLS]}, "counts": [...], "n": COLUMN} -->`` where
 a table begins and ``<!-- end -->`` where it ends; columns and rows are all where none are chosen, and counts of n get
-95 % intervals. A table is older than the code where what it covers differs from its commit: in the folder, so that a
-page and the change that ages its tables can be one commit.
+95 % intervals. A table is older than the code where what it covers differs from its commit by more than comments and
+docstrings: in the folder, so that a page and the change that ages its tables can be one commit.
 """
 
+import ast
 import json
 import re
 import subprocess
@@ -54,9 +55,30 @@ class History:
 
         def differs(path: str) -> bool:
             is_new = self.git("ls-files", "--others", "--exclude-standard", "--", path).stdout
-            return bool(is_new) or any(self.git("diff", "--quiet", c, "--", path).returncode for c in table.commits)
+            return bool(is_new) or any(self.code_differs(commit, path) for commit in table.commits)
 
         return [path for path in table.covers if not table.commits or differs(path)]
+
+    def code_differs(self, commit: str, path: str) -> bool:
+        """Whether a file, or one below a folder, is another than at a commit; comments and docstrings do not count."""
+        found = self.git("diff", "--name-status", "--no-renames", commit, "--", path)
+        changes = [line.split("\t") for line in found.stdout.splitlines()]
+        return found.returncode != 0 or any(
+            status != "M"
+            or not name.endswith(".py")
+            or code_of(self.git("show", f"{commit}:{name}").stdout)
+            != code_of((self.root / name).read_text(encoding="utf-8"))
+            for status, name in changes
+        )
+
+
+def code_of(source: str) -> str:
+    """The statements of a Python file, without its comments and docstrings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+            del node.body[0]
+    return ast.dump(tree)
 
 
 def caption(table: ResultTable, history: History) -> str:

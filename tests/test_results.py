@@ -136,6 +136,17 @@ def test_a_page_that_was_edited_by_hand_fails(root):
     assert "docs/results.md: differs" in said
 
 
+def test_words_about_covered_code_do_not_age_the_table(root):
+    (root / "src" / "code.py").write_text('"""What x is."""\nx = 1  # m\n')
+    assert results(root, "--release")[0] == 0
+
+
+def test_code_that_cannot_be_read_ages_the_table(root):
+    (root / "src" / "code.py").unlink()
+    results(root)
+    assert OLDER in page(root)
+
+
 @pytest.mark.parametrize("path", ["src/code.py", "src/new.py"])
 def test_a_change_of_covered_code_ages_the_table_before_and_after_its_commit(root, path):
     (root / path).write_text("x = 2\n")
