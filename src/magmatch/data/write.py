@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.atomic import atomic_write
 from magmatch.data.formats.parquet import write_parquet
 from magmatch.data.logs.write_mcap import write_mcap
 from magmatch.data.points import write_ply, write_vtk_points
@@ -25,14 +24,12 @@ def write_tum_of(survey: Survey, path: str | Path) -> None:
 
 
 def _write_ply(survey: Survey, path: str | Path) -> None:
-    with atomic_write(path) as stream:
-        write_ply(stream, survey.positions, {"b": survey.field})
+    write_ply(path, survey.positions, {"b": survey.field})
 
 
 def _write_vtk(survey: Survey, path: str | Path) -> None:
     magnitude = np.linalg.norm(survey.field, axis=1)
-    with atomic_write(path) as stream:
-        write_vtk_points(stream, survey.positions, {"field": survey.field, "magnitude": magnitude})
+    write_vtk_points(path, survey.positions, {"field": survey.field, "magnitude": magnitude})
 
 
 # By the ending of the file's name.

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from magmatch.arguments import found, number_of, points_of
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.data.points import write_ply, write_vtk_grid
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, import_extra
@@ -106,15 +106,13 @@ def map_on_grid(field_map: Mapped, spacing: float | None = None, cut: tuple[str,
 
 def write_vtk(grid: MapGrid, path: str | Path) -> None:
     """Write a grid as legacy VTK (structured points, binary)."""
-    with atomic_write(path) as stream:
-        write_vtk_grid(stream, grid.axes, grid.spacing, grid.values())
+    write_vtk_grid(path, grid.axes, grid.spacing, grid.values())
 
 
 def write_ply_cloud(grid: MapGrid, path: str | Path) -> None:
     """Write the points that the map knows as PLY, with ``bx, by, bz`` and ``sx, sy, sz``."""
     points = spanned_points(grid.axes)[grid.is_known.ravel()]
-    with atomic_write(path) as stream:
-        write_ply(stream, points, {"b": grid.field[grid.is_known], "s": grid.sd[grid.is_known]})
+    write_ply(path, points, {"b": grid.field[grid.is_known], "s": grid.sd[grid.is_known]})
 
 
 def write_netcdf(grid: MapGrid, path: str | Path, frame: str) -> None:
@@ -122,6 +120,4 @@ def write_netcdf(grid: MapGrid, path: str | Path, frame: str) -> None:
 
     An axis of one point is kept as a coordinate without a dimension: a slice has two dimensions.
     """
-    content = bytes(grid.to_xarray(frame).to_netcdf(engine="scipy"))
-    with atomic_write(path) as stream:
-        stream.write(content)
+    write_whole(path, bytes(grid.to_xarray(frame).to_netcdf(engine="scipy")))

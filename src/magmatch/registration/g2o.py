@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.number_text import exact
 from magmatch.typing import Covariance6
 
@@ -36,8 +36,7 @@ def write_pose_graph(
     for first, second, T, covariance in edges:
         information = exact(g2o_information(covariance, tangent)[np.triu_indices(6)])
         lines.append(f"EDGE_SE3:QUAT {first} {second} {_pose(T)} {' '.join(information)}")
-    with atomic_write(path) as stream:
-        stream.write("\n".join([*lines, ""]).encode())
+    write_whole(path, "\n".join([*lines, ""]).encode())
 
 
 def g2o_information(covariance: Covariance6, tangent: RotationTangent = "quaternion") -> np.ndarray:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.data.tables.tum import write_tum
 from magmatch.errors import SurveyError
 from magmatch.geometry import covariance_about, near_origin
@@ -71,5 +71,4 @@ def write_static_transform(result: RegistrationResult, path: str | Path, base: s
             "rotation": dict(zip("xyzw", T.rotation.as_quat().tolist(), strict=True)),
         },
     }
-    with atomic_write(path) as stream:
-        stream.write(yaml.safe_dump(content, sort_keys=False).encode())
+    write_whole(path, yaml.safe_dump(content, sort_keys=False).encode())

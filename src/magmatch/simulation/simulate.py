@@ -9,7 +9,7 @@ import numpy as np
 
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.data.survey import Survey
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import Source, field_of
@@ -119,5 +119,4 @@ def write_pair(pair: SimulatedPair, folder: str | Path) -> None:
     }
     pair.base.save(folder / "base.csv")
     pair.target.save(folder / "target.csv")
-    with atomic_write(folder / "truth.json") as stream:
-        stream.write(json.dumps(truth, indent=2).encode() + b"\n")
+    write_whole(folder / "truth.json", json.dumps(truth, indent=2).encode() + b"\n")
