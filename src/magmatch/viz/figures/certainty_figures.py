@@ -14,8 +14,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 from magmatch.geometry import covariance_about, exp_se3, rotation_matrix, transform_points
 from magmatch.number_text import told
 from magmatch.registration.result import DegenerateDirection
