@@ -188,18 +188,8 @@ def skew(v: Points) -> Tensors:
 GENERATORS = skew(np.eye(3))
 
 
-def exp_se3(xi: np.ndarray) -> RigidTransform:
-    """Exponential map of a tangent vector (6,): rotation vector (rad), then the translational part (m)."""
-    return RigidTransform.from_exp_coords(xi)
-
-
-def log_se3(T: RigidTransform) -> np.ndarray:
-    """Logarithm map: tangent vector (6,) of a transform, rotation vector (rad) first, then m."""
-    return np.asarray(T.as_exp_coords(), dtype=np.float64)
-
-
 def turn_and_shift(T: RigidTransform) -> np.ndarray:
-    """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, `log_se3`."""
+    """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, the logarithm."""
     turn = Rotation.from_matrix(rotation_matrix(T), assume_valid=True).as_rotvec()
     return np.concatenate([turn, T.translation], axis=-1)
 

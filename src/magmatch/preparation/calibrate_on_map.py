@@ -57,11 +57,6 @@ class CalibrationEstimate:
     # (float, float), T: median error of a map on held-out stretches, as read and with the correction
     held_out: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def is_refused(self) -> bool:
-        """Whether the correction was withdrawn."""
-        return bool(self.refused)
-
     def withdrawn(self, why: str) -> "CalibrationEstimate":
         """Drop the correction, if there is a reason in words."""
         return replace(self, model=SensorCorrection(), refused=why) if why else self

@@ -93,7 +93,7 @@ def _hyperparameters(
     survey: Survey, calibration: CalibrationEstimate | None, config: PreparationConfig
 ) -> Hyperparameters:
     """Settings of the map that samples are held against."""
-    if calibration is not None and not calibration.is_refused:
+    if calibration is not None and not calibration.refused:
         h = calibration.hyperparameters
     else:
         stride = -(-len(survey) // config.n_samples)
