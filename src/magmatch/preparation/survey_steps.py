@@ -18,12 +18,7 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import Flagging, PreparationConfig
 from magmatch.preparation.consistency import affordable
-from magmatch.preparation.disturbances import (
-    find_contradictions,
-    find_saturation,
-    find_spikes,
-    runs,
-)
+from magmatch.preparation.disturbances import find_contradictions, find_saturation, find_spikes, runs
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
