@@ -31,34 +31,29 @@ DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 def rotation_matrix(T_base_target: RigidTransform) -> Matrix:
     """``R`` of a transform, (3, 3), or of many. `T.rotation` goes by quaternions: a hundred times as long."""
-    R: Matrix = T_base_target.as_matrix()[..., :3, :3]
-    return R
+    return T_base_target.as_matrix()[..., :3, :3]
 
 
 def transform_points(p_target: Points, T_base_target: RigidTransform) -> Points:
     """Points (n, 3), m, of the target frame in the base frame: ``R p + t``."""
-    moved: Points = p_target @ rotation_matrix(T_base_target).T + T_base_target.translation
-    return moved
+    return np.asarray(p_target @ rotation_matrix(T_base_target).T + T_base_target.translation)
 
 
 def rotate_vectors(b_target: Vectors, T_base_target: RigidTransform) -> Vectors:
     """Field vectors (n, 3), T, of the target frame in the base frame: ``R b``; the translation does not act."""
-    turned: Vectors = b_target @ rotation_matrix(T_base_target).T
-    return turned
+    return np.asarray(b_target @ rotation_matrix(T_base_target).T)
 
 
 def rotate_tensors(G_target: Tensors, T_base_target: RigidTransform) -> Tensors:
     """Field gradients (n, 3, 3), T/m (or Hessians of the magnitude) in the base frame: ``R G R^T``."""
     R = rotation_matrix(T_base_target)
-    turned: Tensors = R @ G_target @ R.T
-    return turned
+    return np.asarray(R @ G_target @ R.T)
 
 
 def rotate_third_order(D_target: ThirdOrder, T_base_target: RigidTransform) -> ThirdOrder:
     """Second derivatives (n, 3, 3, 3), T/m^2, in the base frame: ``[i, a, b, c] = d2 B_a / dx_b dx_c``."""
     R = rotation_matrix(T_base_target)
-    turned: ThirdOrder = np.einsum("ai,bj,ck,nijk->nabc", R, R, R, D_target, optimize=True)
-    return turned
+    return np.asarray(np.einsum("ai,bj,ck,nijk->nabc", R, R, R, D_target, optimize=True))
 
 
 def transform_from_matrix(matrix: np.ndarray) -> RigidTransform:
@@ -110,8 +105,7 @@ def product(*transforms: RigidTransform) -> RigidTransform:
 
 def unit_vectors(vectors: Vectors) -> Vectors:
     """Vectors (n, 3) of length 1, in the same directions; where one has no length, 0."""
-    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
-    return unit
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None])
 
 
 def skew(v: Points) -> Tensors:

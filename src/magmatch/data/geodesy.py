@@ -88,8 +88,7 @@ def local_east_north_up(
     up = [np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)]
     there = _geocentric(latitudes_deg, longitudes_deg, altitudes)
     here = _geocentric(*(np.array([v]) for v in (origin.latitude_deg, origin.longitude_deg, origin.altitude)))
-    local: Points = (there - here) @ np.array([east, north, up]).T
-    return local
+    return np.asarray((there - here) @ np.array([east, north, up]).T)
 
 
 def _geocentric(latitudes_deg: Scalars, longitudes_deg: Scalars, altitudes: Scalars) -> Points:

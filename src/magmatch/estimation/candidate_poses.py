@@ -44,8 +44,7 @@ class CandidatePoses(NamedTuple):
     def carry(self, p_target: Vector3) -> Points:
         """Carry a given point of the target by each pose: (h, 3), m."""
         arms = p_target - self.anchors_target[self.anchor_rows]
-        moved: Points = self.anchors_base + np.einsum("nij,nj->ni", self.rotations, arms)
-        return moved
+        return np.asarray(self.anchors_base + np.einsum("nij,nj->ni", self.rotations, arms))
 
     def pose(self, k: int, p_base: Vector3, p_target: Vector3) -> RigidTransform:
         """One pose as a transform, given where `carry` puts a point."""

@@ -16,14 +16,12 @@ SAMPLING = 0.25
 def cube_keys(points: Points, side: float) -> Indices:
     """One integer per point, equal for points of one cube."""
     i, j, k = (np.floor(points / side).astype(np.int64).T + _SIDE // 2) % _SIDE
-    keys: Indices = (i * _SIDE + j) * _SIDE + k
-    return keys
+    return np.asarray((i * _SIDE + j) * _SIDE + k)
 
 
 def even_choice(n: int, limit: int) -> Indices:
     """Rows of n, at most as many as the limit and evenly spread, the first and the last among them."""
-    rows: Indices = np.unique(np.linspace(0, n - 1, min(n, limit)).astype(np.int64))
-    return rows
+    return np.unique(np.linspace(0, n - 1, min(n, limit)).astype(np.int64))
 
 
 def thin(points: Points, distance: float, limit: int = MOST_POINTS) -> Indices:

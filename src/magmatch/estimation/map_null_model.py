@@ -51,8 +51,7 @@ class CellMeans:
         is_one = np.zeros(len(self.counts) + 1, dtype=np.bool_)
         is_one[rows] = True
         # Samples of cells that are left out, -1, look at the last entry.
-        inside: Mask = is_one[self.cell]
-        return inside
+        return np.asarray(is_one[self.cell])
 
 
 @dataclass(frozen=True, eq=False, slots=True)

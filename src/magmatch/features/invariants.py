@@ -20,8 +20,7 @@ def traceless_symmetric(gradient: Tensors) -> Tensors:
     """Nearest gradient (T/m) that obeys both of Maxwell's laws in air: symmetric, trace zero."""
     symmetric = (gradient + np.swapaxes(gradient, 1, 2)) / 2
     trace = np.trace(symmetric, axis1=1, axis2=2) / 3
-    projected: Tensors = symmetric - trace[:, None, None] * np.eye(3)
-    return projected
+    return np.asarray(symmetric - trace[:, None, None] * np.eye(3))
 
 
 def rotation_invariants(field: Vectors, gradient: Tensors) -> Matrix:

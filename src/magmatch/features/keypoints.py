@@ -24,20 +24,18 @@ def magnitude_hessian(values: FieldValues) -> Tensors:
     n = np.linalg.norm(B, axis=1)
     n = np.where(n > 0, n, np.nan)[:, None, None]
     along = np.einsum("na,nai->ni", B, G)
-    hessian: Tensors = (
+    return np.asarray(
         np.swapaxes(G, 1, 2) @ G / n
         - along[:, :, None] * along[:, None, :] / n**3
         + np.einsum("na,naij->nij", B, values.second) / n
     )
-    return hessian
 
 
 def curvature_response(values: FieldValues) -> Scalars:
     """Determinant of the Hessian of the magnitude: positive at minima and at half of the saddles, as published."""
     H = magnitude_hessian(values)
     # Written out: LAPACK's determinant warns about NaN.
-    doh: Scalars = np.einsum("ni,ni->n", H[:, 0], np.cross(H[:, 1], H[:, 2]))
-    return doh
+    return np.asarray(np.einsum("ni,ni->n", H[:, 0], np.cross(H[:, 1], H[:, 2])))
 
 
 def detect(inferred: Inferred, config: FeatureConfig | None = None) -> Indices:
@@ -66,8 +64,7 @@ def detect(inferred: Inferred, config: FeatureConfig | None = None) -> Indices:
     variance = block_variance(inferred, rows) if config.max_variance is None else inferred.variance(rows)
     # A hair of slack, so that equal variances do not part by rounding.
     limit = config.max_variance or np.quantile(variance, config.variance_quantile) * (1 + 1e-9)
-    kept: Indices = rows[variance <= limit]
-    return kept
+    return rows[variance <= limit]
 
 
 def block_variance(inferred: Inferred, rows: Indices) -> Scalars:
@@ -83,5 +80,4 @@ def block_variance(inferred: Inferred, rows: Indices) -> Scalars:
     local = np.minimum(2 * blocks + 0.5, np.array(grid.shape) - 1.0) * grid.spacing
     covariance = inferred.field_map.covariance(transform_points(local, grid.T_map_grid))
     variance = np.trace(covariance, axis1=1, axis2=2) / 3
-    of_rows: Scalars = variance[block_of_row.reshape(-1)]
-    return of_rows
+    return np.asarray(variance[block_of_row.reshape(-1)])

@@ -50,8 +50,7 @@ def whiten_pairs(invariants: Matrix, sd_position: float, sd_field: float, field_
     scale[:, 3] = np.sqrt(2) * sd_field
     scale[:, 4:6] = sd_along[:, None]
     scale[:, 6] = np.sqrt(2) * sd_field
-    whitened: Matrix = invariants / scale
-    return whitened
+    return np.asarray(invariants / scale)
 
 
 def align_pairs(
@@ -74,5 +73,4 @@ def align_pairs(
 
 def _direction_sd(distance: Scalars, sd_position: float) -> Scalars:
     """Uncertainty of the direction between two points, rad."""
-    sd: Scalars = np.sqrt(2) * sd_position / np.maximum(distance, 2 * sd_position)
-    return sd
+    return np.asarray(np.sqrt(2) * sd_position / np.maximum(distance, 2 * sd_position))

@@ -102,8 +102,7 @@ class BoundedPosterior:
 
     def knows(self, points: Points) -> Mask:
         """See `FieldPosterior.knows`."""
-        known: Mask = self.inner.knows(points) & self.box.contains(points)
-        return known
+        return np.asarray(self.inner.knows(points) & self.box.contains(points))
 
     def _or_nowhere(self, points: Points) -> Points:
         moved: Points = np.full_like(points, NOWHERE)

@@ -69,5 +69,4 @@ def gradient_of(values: FieldValues) -> Tensors:
 
 def gradient_norm(gradient: Tensors) -> Scalars:
     """Frobenius norm of gradient tensors, T/m: (n,)."""
-    norm: Scalars = np.sqrt(np.einsum("nij,nij->n", gradient, gradient))
-    return norm
+    return np.asarray(np.sqrt(np.einsum("nij,nij->n", gradient, gradient)))

@@ -214,8 +214,7 @@ class _Estimator:
         """Inconsistency of the field as it stands in the log: (n, 3), T."""
         positions, orientations = self.part.at(0.0)
         project = MapConsistency(positions, self.hyperparameters, np.ones(len(self.part))).project
-        residual: Vectors = project(orientations.apply(self.part.readings)[None])[1][0]
-        return residual
+        return np.asarray(project(orientations.apply(self.part.readings)[None])[1][0])
 
     def _linearised(self, model: SensorCorrection, active: set[str]) -> System:
         """Columns of all active unknowns about a model."""

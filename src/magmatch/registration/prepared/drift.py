@@ -59,10 +59,9 @@ class Drift:
         sums = np.zeros((len(self.correlation), 3 * p))
         np.add.at(sums, self.stretch[rows], pushes)
         by_axis = sums.reshape(-1, 3, p)
-        found: Matrix = self.lasting_sd**2 * np.einsum(
-            "sjp,st,tjq->pq", by_axis, self.correlation, by_axis, optimize=True
+        return np.asarray(
+            self.lasting_sd**2 * np.einsum("sjp,st,tjq->pq", by_axis, self.correlation, by_axis, optimize=True)
         )
-        return found
 
 
 def field_variance(gradient: Tensors, position_variance: float) -> Scalars:
