@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.arguments import column_of
 from magmatch.data.checks import time_gaps
 from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
@@ -23,11 +22,6 @@ from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
-
-
-def checked_channels(channels: Mapping[str, Scalars], n: int) -> dict[str, Scalars]:
-    """Other channels of a log of n samples, a finite number for each."""
-    return {name: column_of(values, f"channel {name}", "any unit", n) for name, values in channels.items()}
 
 
 def thinned(
