@@ -60,7 +60,7 @@ class History:
         return [path for path in table.covers if not table.commits or differs(path)]
 
     def code_differs(self, commit: str, path: str) -> bool:
-        """Whether a file, or one below a folder, is another than at a commit; comments and docstrings do not count."""
+        """Whether a file, or one below a folder, differs from a commit by more than comments and docstrings."""
         found = self.git("diff", "--name-status", "--no-renames", commit, "--", path)
         changes = [line.split("\t") for line in found.stdout.splitlines()]
         return found.returncode != 0 or any(

@@ -13,6 +13,8 @@ from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.prepared.raster import Raster
 
+# Transforms of tangent vectors (6,), rotation first (rad, m), and back.
+exp_se3, log_se3 = RigidTransform.from_exp_coords, RigidTransform.as_exp_coords
 EARTH = np.array([18e-6, 3e-6, -45e-6])
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import magmatch as mm
+from hand_made import log_se3
 from magmatch.field.config import SPLINE
-from magmatch.geometry import log_se3, random_transform, transform_error
+from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.walk_strategy import WalkStrategy

@@ -7,10 +7,11 @@ FOLDER keeps the maps and their indexes from run to run; other maps in it are pl
 corridor around a rectangle of its own size, walked twice along either side; a room is one of `many_rooms.py`; CEA
 is walk one through both floors, and ``--others`` adds the other recordings. Targets are stretches of CEA's walk two
 (`--tries`) on its second floor, and walks along the middle of as many different simulated corridors (`--simulated`),
-each in a random frame of its own. Right = the right place first, and in it within 0.25
-m and 3 deg; elsewhere = in another place, or more than 1 m off. ``--among 100 1000`` asks each target twice, among its own place and 99, and 999, others (0: all). From
-the folder of so many further targets of each kind (``--absent``) their own place is taken out, so that nothing is
-right. Seconds are per query in one process with the folder open; those of opening it are printed besides.
+each in a random frame of its own. Right = the right place first, and in it within 0.25 m and 3 deg; elsewhere = in
+another place, or more than 1 m off. ``--among 100 1000`` asks each target twice, among its own place and 99, and 999,
+others (0: all). From the folder of so many further targets of each kind (``--absent``) their own place is taken out,
+so that nothing is right. Seconds are per query in one process with the folder open; those of opening it are printed
+besides.
 """
 
 import argparse

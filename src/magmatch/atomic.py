@@ -74,6 +74,12 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
 
 
+def write_whole(path: str | Path, content: bytes) -> None:
+    """Write content that is all there to a file as `atomic_write` does."""
+    with atomic_write(path) as stream:
+        stream.write(content)
+
+
 @contextmanager
 def _naming(path: str | Path, temporary: Path | None = None) -> Iterator[None]:
     """Name the file in errors of the operating system, which reports a full disk without a name."""

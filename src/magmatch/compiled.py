@@ -29,16 +29,10 @@ ELSEWHERE = "; NUMBA_CACHE_DIR names another folder to keep them"
 
 
 class Keeping:
-    """Loops are kept for later runs where some folder can be written; without one they are compiled each time.
-
-    Attributes
-    ----------
-    obstacle : str
-        Why loops cannot be kept; empty as long as they can.
-    """
+    """Loops are kept for later runs where some folder can be written; without one they are compiled each time."""
 
     def __init__(self) -> None:
-        self.obstacle = ""
+        self.obstacle = ""  # why loops cannot be kept; empty as long as they can
 
     def __call__(self, loop: Any) -> Any:
         """Have a loop kept."""
@@ -129,15 +123,10 @@ def _is_ours(compilation: event.Event) -> bool:
 
 
 class FirstUse(event.Listener):
-    """Loops that are not in the cache say why it takes longer, report progress, and at the first give help.
-
-    Attributes
-    ----------
-    next_module : str or None
-        Whose loops are compiled by another process meanwhile (`compile_known`). The library starts none by itself.
-    """
+    """Loops that are not in the cache say why it takes longer, report progress, and at the first give help."""
 
     def __init__(self) -> None:
+        # Whose loops are compiled by another process meanwhile (`compile_known`). The library starts none by itself.
         self.next_module: str | None = None
         self._n_loops = 0
         self._began = self._said = 0.0

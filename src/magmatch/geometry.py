@@ -31,104 +31,36 @@ DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 
 def rotation_matrix(T_base_target: RigidTransform) -> Matrix:
     """``R`` of a transform, (3, 3), or of many. `T.rotation` goes by quaternions: a hundred times as long."""
-    R: Matrix = T_base_target.as_matrix()[..., :3, :3]
-    return R
+    return T_base_target.as_matrix()[..., :3, :3]
 
 
 def transform_points(p_target: Points, T_base_target: RigidTransform) -> Points:
-    """Points of the target frame in the base frame: ``R p + t``.
-
-    Parameters
-    ----------
-    p_target : (n, 3) array, m
-        Positions in the target's frame.
-    T_base_target : RigidTransform
-        Takes target coordinates to base coordinates.
-
-    Returns
-    -------
-    (n, 3) array, m
-        The same points in the base's frame.
-    """
-    moved: Points = p_target @ rotation_matrix(T_base_target).T + T_base_target.translation
-    return moved
+    """Points (n, 3), m, of the target frame in the base frame: ``R p + t``."""
+    return np.asarray(p_target @ rotation_matrix(T_base_target).T + T_base_target.translation)
 
 
 def rotate_vectors(b_target: Vectors, T_base_target: RigidTransform) -> Vectors:
-    """Field vectors of the target frame in the base frame: ``R b``; the translation does not act.
-
-    Parameters
-    ----------
-    b_target : (n, 3) array, T
-        Field vectors in the target's frame.
-    T_base_target : RigidTransform
-        Takes target coordinates to base coordinates.
-
-    Returns
-    -------
-    (n, 3) array, T
-        The same vectors in the base's frame.
-    """
-    turned: Vectors = b_target @ rotation_matrix(T_base_target).T
-    return turned
+    """Field vectors (n, 3), T, of the target frame in the base frame: ``R b``; the translation does not act."""
+    return np.asarray(b_target @ rotation_matrix(T_base_target).T)
 
 
 def rotate_tensors(G_target: Tensors, T_base_target: RigidTransform) -> Tensors:
-    """Second-order tensors of the target frame in the base frame: ``R G R^T``.
-
-    Parameters
-    ----------
-    G_target : (n, 3, 3) array, T/m
-        Field gradients (or Hessians of the magnitude, T/m^2) in the target's frame.
-    T_base_target : RigidTransform
-        Takes target coordinates to base coordinates; its translation does not act here.
-
-    Returns
-    -------
-    (n, 3, 3) array
-        The same tensors in the base's frame.
-    """
+    """Field gradients (n, 3, 3), T/m (or Hessians of the magnitude) in the base frame: ``R G R^T``."""
     R = rotation_matrix(T_base_target)
-    turned: Tensors = R @ G_target @ R.T
-    return turned
+    return np.asarray(R @ G_target @ R.T)
 
 
 def rotate_third_order(D_target: ThirdOrder, T_base_target: RigidTransform) -> ThirdOrder:
-    """Third-order tensors (second derivatives of a vector field) in the base frame.
-
-    Parameters
-    ----------
-    D_target : (n, 3, 3, 3) array, T/m^2
-        ``[i, a, b, c] = d2 B_a / dx_b dx_c`` in the target's frame.
-    T_base_target : RigidTransform
-        Takes target coordinates to base coordinates; its translation does not act here.
-
-    Returns
-    -------
-    (n, 3, 3, 3) array, T/m^2
-        The same tensors in the base's frame.
-    """
+    """Second derivatives (n, 3, 3, 3), T/m^2, in the base frame: ``[i, a, b, c] = d2 B_a / dx_b dx_c``."""
     R = rotation_matrix(T_base_target)
-    turned: ThirdOrder = np.einsum("ai,bj,ck,nijk->nabc", R, R, R, D_target, optimize=True)
-    return turned
+    return np.asarray(np.einsum("ai,bj,ck,nijk->nabc", R, R, R, D_target, optimize=True))
 
 
 def transform_from_matrix(matrix: np.ndarray) -> RigidTransform:
-    """Rigid motion given as a 4x4 matrix, as files hold it.
+    """Rigid motion given as a matrix (4, 4) ``[[R, t], [0, 1]]``, t in m, as files hold it; else a ValueError.
 
     A rotation that is orthonormal to rounding keeps its very bits, so that reading what was written changes
-    nothing; one that was written with fewer digits is brought to the nearest rotation.
-
-    Parameters
-    ----------
-    matrix : (4, 4) array
-        ``[[R, t], [0, 1]]``, translation in m.
-
-    Raises
-    ------
-    ValueError
-        If the matrix is not finite, its last row is not ``0, 0, 0, 1``, or its upper left part is no rotation
-        to 1e-9.
+    nothing; one that was written with fewer digits, to 1e-9, is brought to the nearest rotation.
     """
     matrix = np.asarray(matrix, dtype=np.float64)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
@@ -173,8 +105,7 @@ def product(*transforms: RigidTransform) -> RigidTransform:
 
 def unit_vectors(vectors: Vectors) -> Vectors:
     """Vectors (n, 3) of length 1, in the same directions; where one has no length, 0."""
-    unit: Vectors = vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None]
-    return unit
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), np.finfo(float).tiny)[:, None])
 
 
 def skew(v: Points) -> Tensors:
@@ -188,18 +119,8 @@ def skew(v: Points) -> Tensors:
 GENERATORS = skew(np.eye(3))
 
 
-def exp_se3(xi: np.ndarray) -> RigidTransform:
-    """Exponential map of a tangent vector (6,): rotation vector (rad), then the translational part (m)."""
-    return RigidTransform.from_exp_coords(xi)
-
-
-def log_se3(T: RigidTransform) -> np.ndarray:
-    """Logarithm map: tangent vector (6,) of a transform, rotation vector (rad) first, then m."""
-    return np.asarray(T.as_exp_coords(), dtype=np.float64)
-
-
 def turn_and_shift(T: RigidTransform) -> np.ndarray:
-    """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, `log_se3`."""
+    """Rotation vector (rad) and translation (m) of one transform or many, (6,) or (n, 6): if small, the logarithm."""
     turn = Rotation.from_matrix(rotation_matrix(T), assume_valid=True).as_rotvec()
     return np.concatenate([turn, T.translation], axis=-1)
 
@@ -252,21 +173,9 @@ def random_transform(rng: np.random.Generator, max_translation: float = 5.0) -> 
 
 
 def transform_error(T_estimate: RigidTransform, T_true: RigidTransform, center: Vector3) -> tuple[float, float]:
-    """How far two transforms of the same frames differ.
+    """How far two transforms of the same frames differ: ``|T_estimate c - T_true c|``, m, and the angle between, rad.
 
-    Parameters
-    ----------
-    T_estimate, T_true : RigidTransform
-        Two versions of ``T_base_target``.
-    center : (3,) array, m
-        Where the translation error is measured: the centroid of the target's samples, target frame.
-
-    Returns
-    -------
-    translation_error : float, m
-        ``|T_estimate c - T_true c|``.
-    rotation_error : float, rad
-        Angle of ``R_estimate^T R_true``.
+    The centre (3,), m, is that of the target's samples, target frame.
     """
     return _shift_between(T_estimate, T_true, center), _turn_between(T_estimate, T_true)
 

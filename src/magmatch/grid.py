@@ -24,8 +24,7 @@ def distinct_cells(cells: np.ndarray) -> np.ndarray:
     if sizes[0] * sizes[1] * sizes[2] >= 2**62:
         return np.asarray(np.unique(cells, axis=0))
     flat = np.unique(np.ravel_multi_index(tuple((cells - low).T), tuple(sizes)))
-    rows: np.ndarray = np.stack(np.unravel_index(flat, tuple(sizes)), axis=1) + low
-    return rows
+    return np.asarray(np.stack(np.unravel_index(flat, tuple(sizes)), axis=1) + low)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

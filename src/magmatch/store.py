@@ -64,10 +64,7 @@ def save(path: str | Path, schema: str, content: Mapping[str, Any]) -> None:
 def load(path: str | Path, schema: str, kinds: Kinds = ()) -> dict[str, Any]:
     """Read the tree that `save` wrote to a file; the arrays are one's own.
 
-    Raises
-    ------
-    DataFormatError
-        No such file, or it is damaged, of another schema, or holds a class that is not among `kinds`.
+    Raises `DataFormatError`: no such file, or it is damaged, of another schema, or holds a class not among `kinds`.
     """
     return loads(read_bytes(path, MAX_BYTES + 1), schema, kinds, path)
 

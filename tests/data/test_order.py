@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from magmatch.data.describe import describe
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 
 
 def survey(p, **more):

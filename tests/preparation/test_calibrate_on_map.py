@@ -46,7 +46,7 @@ def test_the_clocks_offset_is_found_from_translation_alone():
     log = log_of()
     found = calibrate(log, CLOCK_ALONE, {}, np.ones(len(log), dtype=bool))
     assert found.model.time_offset == pytest.approx(OFFSET, abs=3e-3)
-    assert not found.is_refused
+    assert not found.refused
     assert found.held_out[1] < 0.8 * found.held_out[0]
     assert found.inconsistency[1] < 0.8 * found.inconsistency[0]
     assert found.without["time_offset"] > 1.2 * found.inconsistency[1]

@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from hand_made import exp_se3
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.values import FieldValues
-from magmatch.geometry import exp_se3, random_transform, transform_error
+from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, look_up, refine, residual_jacobian
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors

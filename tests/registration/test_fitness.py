@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.geometry import exp_se3, random_transform
+from hand_made import exp_se3
+from magmatch.geometry import random_transform
 from magmatch.published.fitness import FitnessConfig, fitness, mean_misalignment
 
 

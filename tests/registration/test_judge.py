@@ -6,9 +6,10 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
+from hand_made import exp_se3, log_se3
 from magmatch.errors import ConfigurationError
 from magmatch.field.config import SPLINE
-from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
+from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.simulation.config import SimulationConfig
 

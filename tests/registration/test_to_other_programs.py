@@ -8,8 +8,9 @@ import pytest
 import yaml
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from hand_made import exp_se3
 from magmatch.errors import SurveyError
-from magmatch.geometry import adjoint, covariance_about, exp_se3, transform_points
+from magmatch.geometry import adjoint, covariance_about, transform_points
 from magmatch.registration.g2o import Edge, g2o_information, write_pose_graph
 from magmatch.registration.result import Links, RegistrationResult, Status
 from magmatch.registration.to_other_programs import write_g2o, write_relative_tum, write_static_transform

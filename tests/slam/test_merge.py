@@ -9,10 +9,11 @@ import pytest
 from scipy.stats import kstest
 
 from drifting import Place
+from hand_made import exp_se3, log_se3
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
-from magmatch.geometry import exp_se3, log_se3, random_transform, transform_error
+from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging

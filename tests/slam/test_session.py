@@ -11,11 +11,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from drifting import trajectory_error
+from hand_made import exp_se3
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.field.sensor_biases import SensorBiases, without_bias
-from magmatch.geometry import exp_se3
 from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.runner import Runner
 from magmatch.slam.config import SlamConfig

@@ -6,7 +6,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
-from magmatch.geometry import adjoint, covariance_about, exp_se3, random_transform
+from hand_made import exp_se3
+from magmatch.geometry import adjoint, covariance_about, random_transform
 from magmatch.registration.result import DegenerateDirection
 from magmatch.viz.figures.certainty_figures import LEVEL, direction_words, ellipsoids_at, swept
 

@@ -45,23 +45,9 @@ Exit codes:
 
 # In the order of the help page, where those of other distributions follow.
 COMMANDS = (
-    register,
-    transform,
-    slam,
-    merge,
-    localize,
-    odometry,
-    prepare,
-    build,
-    query,
-    info,
-    view,
-    convert,
-    simulate,
-    datasets,
-    demo,
-    glossary,
-)
+    register, transform, slam, merge, localize, odometry, prepare, build, query, info, view, convert, simulate,
+    datasets, demo, glossary,
+)  # fmt: skip
 
 
 def build_app() -> typer.Typer:

@@ -10,9 +10,8 @@ from magmatch.arguments import expect_kind
 from magmatch.data.dataframes import SINCE_1970
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.order import has_order
 from magmatch.data.sensor_axes import FEW, RESOLVED, doubt_axes, find_repeats, sensor_readings
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import GLOBAL_FRAME
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.data.tables.text import read_bytes
 from magmatch.errors import ConfigurationError, DataFormatError, DatasetError
 
@@ -74,12 +74,11 @@ def fetch(name: str, source_dir: str | Path | None = None) -> dict[str, Path]:
     }
     missing = [file for file, digest in dataset.files.items() if there.get(file) != digest]
     logger.info("%s: %s. Licence: %s Cite: %s", name, dataset.title, dataset.licence, dataset.citation)
-    if source_dir is not None:
-        sources = verified_files(name, source_dir)
-        for file in missing:
-            _keep(cache / file, dataset.content(sources[file]))
-    elif missing:
-        _download(dataset, missing, cache)
+    sources = None if source_dir is None else verified_files(name, source_dir)
+    for file in missing:
+        content = _download(dataset, file) if sources is None else dataset.content(sources[file])
+        (cache / file).parent.mkdir(parents=True, exist_ok=True)
+        write_whole(cache / file, content)
     return {file: cache / file for file in dataset.files}
 
 
@@ -113,39 +112,31 @@ def cache_folder() -> Path:
     return Path(pooch.os_cache("magmatch"))
 
 
-def _keep(path: Path, content: bytes) -> None:
-    """Put a file into the cache."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as stream:
-        stream.write(content)
-
-
-def _download(dataset: Dataset, files: list[str], cache: Path) -> None:
-    """Download files into the cache; each is verified before it takes its place."""
+def _download(dataset: Dataset, file: str) -> bytes:
+    """Content of a file of a dataset, verified."""
     import pooch
 
     pooch.get_logger().setLevel("WARNING")  # its progress lines go to stderr; what is fetched is logged here
-    for file in files:
-        url, digest = dataset.url(file), dataset.files[file]
-        try:
-            with TemporaryDirectory(prefix="magmatch-") as folder:
-                # What is kept is verified below, since all of a file may be published otherwise.
-                known = None if dataset.kept else f"sha256:{digest}"
-                kennel = pooch.create(folder, "", registry={file: known}, urls={file: url}, retry_if_failed=1)
-                content = dataset.content(Path(kennel.fetch(file, downloader=pooch.HTTPDownloader(timeout=30))))
-        except ValueError as error:  # pooch's word for a checksum that differs
-            msg = f"dataset '{dataset.name}': {url} is not what was published: {' '.join(str(error).split())}"
-            raise DatasetError(msg) from None
-        except OSError as error:  # requests' errors are OSErrors
-            msg = (
-                f"dataset '{dataset.name}': cannot download {url} ({_reason(error)}). Without a connection, "
-                f"copy its files into a folder and use --from FOLDER"
-            )
-            raise DatasetError(msg) from None
-        if hashlib.sha256(content).hexdigest() != digest:
-            msg = f"dataset '{dataset.name}': {url} is not what was published: its lines differ"
-            raise DatasetError(msg)
-        _keep(cache / file, content)
+    url, digest = dataset.url(file), dataset.files[file]
+    try:
+        with TemporaryDirectory(prefix="magmatch-") as folder:
+            # What is kept is verified below, since all of a file may be published otherwise.
+            known = None if dataset.kept else f"sha256:{digest}"
+            kennel = pooch.create(folder, "", registry={file: known}, urls={file: url}, retry_if_failed=1)
+            content = dataset.content(Path(kennel.fetch(file, downloader=pooch.HTTPDownloader(timeout=30))))
+    except ValueError as error:  # pooch's word for a checksum that differs
+        msg = f"dataset '{dataset.name}': {url} is not what was published: {' '.join(str(error).split())}"
+        raise DatasetError(msg) from None
+    except OSError as error:  # requests' errors are OSErrors
+        msg = (
+            f"dataset '{dataset.name}': cannot download {url} ({_reason(error)}). Without a connection, "
+            f"copy its files into a folder and use --from FOLDER"
+        )
+        raise DatasetError(msg) from None
+    if hashlib.sha256(content).hexdigest() != digest:
+        msg = f"dataset '{dataset.name}': {url} is not what was published: its lines differ"
+        raise DatasetError(msg)
+    return content
 
 
 def _reason(error: OSError) -> str:

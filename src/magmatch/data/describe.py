@@ -7,8 +7,7 @@ import numpy as np
 
 from magmatch.data.checks import check_survey, extent, time_gaps
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 
 
 def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, Any]:

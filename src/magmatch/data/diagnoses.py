@@ -27,9 +27,8 @@ from magmatch.data.frame_mistakes import (
     mistake_made,
     named,
 )
-from magmatch.data.order import has_order
 from magmatch.data.sensor_axes import FEW, HALF, RESOLVED
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
 from magmatch.errors import in_short
 from magmatch.geometry import path_walked

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import expect_path
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.yaml_text import mapping_in
 from magmatch.errors import DataFormatError, first_fault
@@ -37,8 +37,7 @@ def write_document(path: str | Path, document: Mapping[str, Any]) -> None:
     """
     lines = [f'  "{key}": {json.dumps(value, allow_nan=False)}' for key, value in document.items()]
     lines.insert(1, f'  "checksum": "{checksum(document)}"')
-    with atomic_write(path) as stream:
-        stream.write(("{\n" + ",\n".join(lines) + "\n}\n").encode())
+    write_whole(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 
 def checksum(document: Mapping[str, Any]) -> str:

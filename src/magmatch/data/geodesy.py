@@ -72,19 +72,9 @@ def local_east_north_up(
 ) -> Points:
     """Places as metres east, north and up of the origin, exactly: axes are those of its own horizon.
 
-    Parameters
-    ----------
-    latitudes_deg, longitudes_deg : (n,) arrays, degrees
-        On WGS 84, as satellite receivers and phones give them.
-    altitudes : (n,) array, m
-        On the origin's scale of heights.
-    origin : Origin
-        Where all three are 0.
-
-    Returns
-    -------
-    (n, 3) array, m
-        The frame is flat: its horizon lies d^2 / 12,740 km above the ground at a distance d (8 cm at 1 km).
+    Latitudes and longitudes (n,) are on WGS 84, as satellite receivers and phones give them, altitudes (n,), m, on
+    the origin's scale of heights. The frame of the places (n, 3) is flat: its horizon lies d^2 / 12,740 km above the
+    ground at a distance d (8 cm at 1 km).
 
     Examples
     --------
@@ -98,8 +88,7 @@ def local_east_north_up(
     up = [np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)]
     there = _geocentric(latitudes_deg, longitudes_deg, altitudes)
     here = _geocentric(*(np.array([v]) for v in (origin.latitude_deg, origin.longitude_deg, origin.altitude)))
-    local: Points = (there - here) @ np.array([east, north, up]).T
-    return local
+    return np.asarray((there - here) @ np.array([east, north, up]).T)
 
 
 def _geocentric(latitudes_deg: Scalars, longitudes_deg: Scalars, altitudes: Scalars) -> Points:

@@ -44,6 +44,9 @@ from magmatch.geometry import principal_frame, rotate_vectors, transform_points
 from magmatch.picture import coloured_points, with_picture
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
+# Of a path, a row's next one is nearer than two rows at random are (rms); of rows in no order it is about as far.
+LARGEST_STEP = 0.6
+
 
 class Stated(TypedDict, total=False):
     """Keywords for what a DataFrame or Dataset does not say of its survey; see `Survey.from_dataframe`."""
@@ -344,6 +347,20 @@ class Survey:
         Its origin is the centroid; signed by skewness, or the mean field, it follows every rigid motion of them.
         """
         return principal_frame(self.positions, self.field.mean(axis=0))
+
+
+def has_order(survey: Survey) -> bool:
+    """Whether the rows are a path: with times they are; else steps are compared with the size of the whole.
+
+    Lines through other rows, and lengths along them, mean nothing.
+    """
+    if survey.times is not None:
+        return True
+    if len(survey) < 2:
+        return False
+    p = survey.positions
+    step = np.median(np.linalg.norm(np.diff(p, axis=0), axis=1))
+    return bool(step <= LARGEST_STEP * np.sqrt(2 * p.var(axis=0).sum()))
 
 
 def subsets(surveys: tuple[Survey, ...], kept: Mask) -> tuple[Survey, ...]:

@@ -55,8 +55,7 @@ class Trajectory:
 
     def covers(self, times: Scalars) -> Mask:
         """Whether each time lies between the first and the last pose: (k,) bool."""
-        is_covered: Mask = (times >= self.times[0]) & (times <= self.times[-1])
-        return is_covered
+        return np.asarray((times >= self.times[0]) & (times <= self.times[-1]))
 
     def interpolate(self, times: Scalars) -> tuple[Points, Rotation]:
         """Poses at other times (k,), s: positions (k, 3), m, interpolated linearly, and orientations, by slerp.

@@ -66,19 +66,13 @@ class NullModel:
     roughness: float  # T^2: further variance that follows no smooth field
 
     def log_ratio(self, residual: Vectors, extra: Scalars, rows: np.ndarray) -> tuple[float, float]:
-        """Log of 'the base explains these cells' over 'unrelated field'.
+        """Log of 'the base explains these cells' over 'unrelated field', nats; and the same without residuals.
 
         The cells' field and residual are decomposed into the independent modes of the unrelated field, smooth ones
         first. A mode counts by how far its residual is below the variance that the unrelated field has there, but at
         least as much as an outlier; modes weaker than the residuals do not count. The variance that the base leaves
         unexplained is unknown: the ratio is averaged over its values, so that none is chosen to suit the data, and
         its mean under the null model is at most 1.
-
-        Returns
-        -------
-        log_ratio : float, nats
-        attainable : float, nats
-            The same without residuals.
         """
         # Cells in units of their own uncertainty, so that cells where the base map is uncertain count little.
         W = 1 / np.sqrt(self.noise[rows] + extra)

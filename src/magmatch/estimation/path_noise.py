@@ -169,10 +169,7 @@ def predict_stretches(
 ) -> tuple[list[Stretch], list[Stretch]]:
     """Hold out some stretches of the survey's path at a time and predict them from the rest.
 
-    Returns
-    -------
-    by_spread, by_posterior : lists of Stretch
-        Bins that the rest knows: by its inflated standard deviation, and by that of the posterior itself.
+    Of the bins that the rest knows: by its inflated standard deviation, and by that of the posterior itself.
     """
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     number = (path_walked(samples.positions) / (STRETCH_LENGTH * length)).astype(np.int64)

@@ -13,25 +13,12 @@ def residual_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residuals of h poses of n bins, with slopes; and slopes of the field with where the bins are.
 
-    Parameters
-    ----------
-    R : (h, 3, 3) array
-        Rotations, base from walk.
-    y, b : (h, n, 3) arrays, m and T
-        Bins about the walk's centre, and their field, walk's axes.
-    values : (h n, 3) and (h n, 3, 3) arrays, T and T/m
-        The map's field and gradient there, base model axes.
-    known : (h, n) array of bool
-        Where the map says anything; elsewhere rows are 0.
-    strain : (h, n) array
-        What rows are divided by.
+    ``R`` (h, 3, 3) turns the walk's axes to the base's; ``y`` and ``b`` (h, n, 3), m and T, are bins about the walk's
+    centre and their field, walk's axes; ``values`` (h n, 3) and (h n, 3, 3), T and T/m, the map's field and gradient
+    there, base model axes. Rows are 0 where the map is not ``known`` (h, n), else divided by the ``strain`` (h, n).
 
-    Returns
-    -------
-    rows : (h, n, 3, 7) array
-        Each the residual ``b - R^T B``, T, and its slopes ``[G [y]x - [b]x, -G]``, G the gradient in the walk's axes.
-    slopes : (h, n, 3, 6) array
-        ``[[b]x, G]``: what a turn and a shift of each bin do to its residual.
+    Rows (h, n, 3, 7) are the residual ``b - R^T B``, T, and its slopes ``[G [y]x - [b]x, -G]``, G the gradient in the
+    walk's axes; slopes (h, n, 3, 6) are ``[[b]x, G]``: what a turn and a shift of each bin do to its residual.
     """
     field, gradient = (x.reshape(*known.shape, *x.shape[1:]) for x in values)
     is_told, turned = known[..., None, None], skew(b)

@@ -55,7 +55,7 @@ def divide(points: Points, lengthscale: float) -> Folds:
 def has_path_order(points: Points) -> bool:
     """Whether consecutive samples are neighbours in space, so that they share errors.
 
-    `data.order.has_order` asks less (times will do, or rows that follow one another however coarsely), and
+    `data.survey.has_order` asks less (times will do, or rows that follow one another however coarsely), and
     `registration` asks for more: that the whole survey is a thin line.
     """
     if len(points) < 3:

@@ -45,21 +45,11 @@ NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 
 class Belief:
-    """The belief, updated bin by bin.
-
-    Attributes
-    ----------
-    is_sure : bool
-        Whether its first hypothesis is trusted: probable enough, and known well enough.
-    log_odds : float, nats
-        Of the most likely hypothesis over the null model that the body is not in the map.
-    total_odds : float, nats
-        Of all of them together, that the body is in this map.
-    searched_at : float, m
-        Path at the last search.
-    """
+    """The belief, updated bin by bin."""
 
     def __init__(self, known: KnownMap, config: LocalizerConfig) -> None:
+        # Whether its first hypothesis is trusted: probable enough, and known well enough; and log odds (nats) over
+        # the null model that the body is not in the map, of the most likely hypothesis and of all together.
         self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
@@ -68,7 +58,8 @@ class Belief:
         self._weighed: list[WeighedHypothesis] = []
         self._found = NOTHING
         self._words = self._why()
-        # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts.
+        # States of the trusted hypothesis before each of the latest bins, and the first bin whose evidence counts;
+        # and the path at the last search, m.
         self._trail: list[np.ndarray] = []
         self._since, self._was_sure, self.searched_at = 0, False, -np.inf
         # Path in the map since the place became known as it is now; NaN where it is not.

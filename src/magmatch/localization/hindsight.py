@@ -138,8 +138,7 @@ def stacked(stated: Sequence[PoseEstimate]) -> tuple[RigidTransform, np.ndarray]
 
 def offsets(T_map_a: RigidTransform, T_map_b: RigidTransform) -> np.ndarray:
     """Twists (m, 6) from some poses to others."""
-    xi: np.ndarray = (T_map_a.inv() * T_map_b).as_exp_coords()
-    return xi
+    return (T_map_a.inv() * T_map_b).as_exp_coords()
 
 
 def believed(estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: Scalars, tested: float) -> Mask:

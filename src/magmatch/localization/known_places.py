@@ -28,11 +28,7 @@ class NotReadyError(Exception):
 class KnownPlaces:
     """Maps that many localizers share.
 
-    Parameters
-    ----------
-    place : FieldMap, MapIndex or Atlas
-    loader : Executor, optional
-        Prepares maps and counts votes in the background; without one, the body that needs them waits.
+    The loader prepares maps and counts votes in the background; without one, the body that needs them waits.
     """
 
     def __init__(self, place: Place, loader: Executor | None = None) -> None:

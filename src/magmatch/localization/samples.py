@@ -43,8 +43,7 @@ class LastSample:
     @property
     def T_odom_body(self) -> Matrix:
         """The pose of the body at that time, in an odometry's frame without jumps."""
-        T: Matrix = self.last["T"][0]
-        return T
+        return np.asarray(self.last["T"][0])
 
     def take(self, t: float, T: Matrix, b: Vector3) -> np.ndarray:
         """Check a sample, T its body's pose, a rigid (4, 4) matrix, and remember it; gives it, (1,) of SAMPLE.

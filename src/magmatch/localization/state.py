@@ -17,7 +17,7 @@ from magmatch.localization.known_map import KnownMap
 from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.typing import ROTATION, VECTOR, Matrix, Vector3
 
-THETA, PLACE, BIAS, MISFIT, ERROR, GAIN = range(0, 18, 3)
+PLACE, BIAS, MISFIT, ERROR, GAIN = range(3, 18, 3)
 N_READ = MISFIT_SLOPE = GAIN + 1
 ERROR_SLOPE, SCALE, N = MISFIT_SLOPE + 3, MISFIT_SLOPE + 6, MISFIT_SLOPE + 7
 # One hypothesis; a bank is an array of them. Gain and scale: what they differ from 1 by. Earlier: nats that the

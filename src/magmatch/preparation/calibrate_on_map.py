@@ -57,11 +57,6 @@ class CalibrationEstimate:
     # (float, float), T: median error of a map on held-out stretches, as read and with the correction
     held_out: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def is_refused(self) -> bool:
-        """Whether the correction was withdrawn."""
-        return bool(self.refused)
-
     def withdrawn(self, why: str) -> "CalibrationEstimate":
         """Drop the correction, if there is a reason in words."""
         return replace(self, model=SensorCorrection(), refused=why) if why else self
@@ -219,8 +214,7 @@ class _Estimator:
         """Inconsistency of the field as it stands in the log: (n, 3), T."""
         positions, orientations = self.part.at(0.0)
         project = MapConsistency(positions, self.hyperparameters, np.ones(len(self.part))).project
-        residual: Vectors = project(orientations.apply(self.part.readings)[None])[1][0]
-        return residual
+        return np.asarray(project(orientations.apply(self.part.readings)[None])[1][0])
 
     def _linearised(self, model: SensorCorrection, active: set[str]) -> System:
         """Columns of all active unknowns about a model."""

@@ -60,7 +60,7 @@ def known_sensor_step(sensor: SensorCorrection | None) -> StepReport:
 def _held_out_step(calibration: CalibrationEstimate) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
     before, after = (value / TESLA_PER_UNIT["uT"] for value in calibration.held_out)
-    if calibration.is_refused:
+    if calibration.refused:
         words = f"withdrawn, none was applied: {calibration.refused}"
         return StepReport("all corrections", "unchanged", words, before, after, "uT")
     outcome: Outcome = "unchanged" if calibration.model.is_identity else "applied"
@@ -79,7 +79,7 @@ def _why_not(name: str, sensor_log: SensorLog | None, why_not: str) -> str:
 
 def _error_report(name: str, label: str, calibration: CalibrationEstimate) -> StepReport:
     """Report of one error of clock or sensor that was estimated."""
-    is_kept = name in calibration.chosen.estimate and not calibration.is_refused
+    is_kept = name in calibration.chosen.estimate and not calibration.refused
     solution = calibration.chosen if is_kept else calibration.full
     estimate, sd, is_open = solution.estimate[name], solution.sd[name], solution.is_open[name]
     outcome: Outcome = "applied" if is_kept else "unknown" if is_open.all() else "unchanged"
@@ -88,7 +88,7 @@ def _error_report(name: str, label: str, calibration: CalibrationEstimate) -> St
         outcome = "unknown"
         words = f"{1e3 * calibration.beyond:+.0f} ms would be more than was searched (time_offset.largest): none"
     elif outcome == "unchanged":
-        words += "; withdrawn with all corrections" if calibration.is_refused else "; not shown"
+        words += "; withdrawn with all corrections" if calibration.refused else "; not shown"
     figures = {
         "estimate": estimate.tolist(), "sd": sd.tolist(), "is_open": is_open.tolist(),
         "p_value": calibration.full.p_value[name], "inconsistency_as_read": calibration.inconsistency[0],

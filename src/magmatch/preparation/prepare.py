@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from magmatch.arguments import expect_kind
+from magmatch.arguments import column_of, expect_kind
 from magmatch.data.checks import require_survey
 from magmatch.data.diagnoses import warn
 from magmatch.data.survey import Survey
@@ -16,7 +16,7 @@ from magmatch.preparation.earth_field import Place, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport, report_on
 from magmatch.preparation.sensor_estimate import estimate_sensor
 from magmatch.preparation.sensor_model import SensorCorrection
-from magmatch.preparation.survey_steps import checked_channels, find_disturbances, resampling_step, thinned
+from magmatch.preparation.survey_steps import find_disturbances, resampling_step, thinned
 from magmatch.progress import Progress, followed, tell
 from magmatch.typing import Scalars
 
@@ -71,7 +71,8 @@ def prepare(
     expect_kind(config, "config", (PreparationConfig,))
     if trajectory is not None:
         expect_kind(trajectory, "trajectory", (Trajectory,), "Trajectory.load reads one from a TUM file")
-    channels = checked_channels(channels or {}, len(survey))
+    n = len(survey)
+    channels = {name: column_of(v, f"channel {name}", "any unit", n) for name, v in (channels or {}).items()}
     given, steps = survey, list[StepReport]()
     if config.thin is not None:
         survey, channels, steps = thinned(survey, channels, config.thin)

@@ -145,7 +145,7 @@ def recalibration_step(
         f"at {log.times[row]:.2f} s by {1e6 * np.linalg.norm(step):.3g} uT"
         for row, step in zip(found.rows, found.steps, strict=True)
     ]
-    kept = {} if calibration is None or calibration.is_refused else calibration.chosen.estimate
+    kept = {} if calibration is None or calibration.refused else calibration.chosen.estimate
     own = [name.removeprefix(CHANNEL + PIECE) for name in kept if name.startswith(CHANNEL + PIECE)]
     words = f"the sensor recalibrated itself {', '.join(jumps)}: cut there, each piece moved back by its jump"
     if own:

@@ -25,11 +25,6 @@ CUTS, WIDER, MOST_OPERATIONS = (1, 2), 1.5 ** np.arange(4), 4e9
 MIN_EVIDENCE = 3.0
 
 
-def turns_with_sensor(survey: Survey, hyperparameters: Hyperparameters) -> bool:
-    """Whether readings contain enough hard iron for a calibration to be worth its time; see `offset_evidence`."""
-    return offset_evidence(survey, hyperparameters) >= MIN_EVIDENCE
-
-
 @single_threaded
 def offset_evidence(survey: Survey, hyperparameters: Hyperparameters) -> float:
     """Measure how much better a constant in the sensor's frame, beside a map of the place, explains the readings.

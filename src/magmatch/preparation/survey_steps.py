@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.arguments import column_of
 from magmatch.data.checks import time_gaps
 from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
@@ -18,21 +17,11 @@ from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperp
 from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import Flagging, PreparationConfig
 from magmatch.preparation.consistency import affordable
-from magmatch.preparation.disturbances import (
-    find_contradictions,
-    find_saturation,
-    find_spikes,
-    runs,
-)
+from magmatch.preparation.disturbances import find_contradictions, find_saturation, find_spikes, runs
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.progress import tell
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
-
-
-def checked_channels(channels: Mapping[str, Scalars], n: int) -> dict[str, Scalars]:
-    """Other channels of a log of n samples, a finite number for each."""
-    return {name: column_of(values, f"channel {name}", "any unit", n) for name, values in channels.items()}
 
 
 def thinned(
@@ -93,7 +82,7 @@ def _hyperparameters(
     survey: Survey, calibration: CalibrationEstimate | None, config: PreparationConfig
 ) -> Hyperparameters:
     """Settings of the map that samples are held against."""
-    if calibration is not None and not calibration.is_refused:
+    if calibration is not None and not calibration.refused:
         h = calibration.hyperparameters
     else:
         stride = -(-len(survey) // config.n_samples)

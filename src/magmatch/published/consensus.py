@@ -194,8 +194,7 @@ def squared_costs(pairs: _Pairs, R: Tensors, t: Vectors) -> np.ndarray:
     cosine = np.einsum("hci,ci->hc", pairs.target_direction @ np.swapaxes(R, 1, 2), pairs.base_direction)
     # |u x v|^2 = 1 - cos^2; opposed vectors, whose cross product vanishes too, cost as much as a right angle.
     sine2 = 1 - np.clip(cosine, 0, 1) ** 2
-    costs: np.ndarray = d2 + pairs.vector_weight**2 * sine2
-    return costs
+    return np.asarray(d2 + pairs.vector_weight**2 * sine2)
 
 
 def _mean_costs(pairs: _Pairs, R: Tensors, t: Vectors) -> Scalars:

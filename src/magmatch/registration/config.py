@@ -52,11 +52,7 @@ class RegistrationConfig(Settings):
 PRESETS: dict[str, RegistrationConfig] = {
     "default": RegistrationConfig(),
     # The published method with the corrections of docs/theory/published.md, every sample used.
-    "paper": RegistrationConfig(
-        field=FIELD,
-        search="keypoints",
-        calibrate=False,
-    ),
+    "paper": RegistrationConfig(field=FIELD, search="keypoints", calibrate=False),
     # The same to the letter, printed slips apart; slow.
     "paper-literal": RegistrationConfig(field=FIELD, search="keypoints", calibrate=False, keypoints=LITERAL),
 }

@@ -9,14 +9,7 @@ from enum import StrEnum
 from typing import Annotated, Any, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    GetPydanticSchema,
-    Strict,
-    WrapValidator,
-)
+from pydantic import AfterValidator, ConfigDict, Field, GetPydanticSchema, Strict, WrapValidator
 from pydantic_core.core_schema import no_info_after_validator_function
 from scipy.spatial.transform import RigidTransform
 from typing_extensions import TypedDict

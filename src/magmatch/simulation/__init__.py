@@ -6,11 +6,4 @@ from magmatch.simulation.corruption import Corruption, corrupt, draw_corruption
 from magmatch.simulation.scenarios import SCENARIOS
 from magmatch.simulation.scene import SimulatedPair
 
-__all__ = [
-    "SCENARIOS",
-    "Corruption",
-    "SimulatedPair",
-    "SimulationConfig",
-    "corrupt",
-    "draw_corruption",
-]
+__all__ = ["SCENARIOS", "Corruption", "SimulatedPair", "SimulationConfig", "corrupt", "draw_corruption"]

@@ -14,7 +14,7 @@ from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.map import FieldMap
-from magmatch.geometry import covariance_about, log_se3, path_walked, rotation_matrix
+from magmatch.geometry import covariance_about, path_walked, rotation_matrix
 from magmatch.progress import Progress, counted, followed
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
@@ -184,7 +184,7 @@ def _lay_out(graph: PoseGraph) -> None:
 
 def _squares(closures: Sequence[Closure], poses: Sequence[RigidTransform]) -> np.ndarray:
     """Normalised squared error of each closure between these poses."""
-    off = [log_se3(c.T_first_second.inv() * poses[c.first].inv() * poses[c.second]) for c in closures]
+    off = [(c.T_first_second.inv() * poses[c.first].inv() * poses[c.second]).as_exp_coords() for c in closures]
     return np.array([xi @ np.linalg.solve(c.covariance, xi) for c, xi in zip(closures, off, strict=True)])
 
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import adjoint
+from magmatch.number_text import many
 from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor
@@ -147,8 +148,8 @@ def explain(
     more than it makes possible.
     """
     n = sum(map(len, groups))
-    found = f"{_count(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
-    found += f", {_count(n_fixed, 'fixed point')} given" if n_fixed else ""
+    found = f"{many(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
+    found += f", {many(n_fixed, 'fixed point')} given" if n_fixed else ""
     if status is SlamStatus.UNCHANGED and bent is not None:
         return (
             f"odometry may bend {bent.path_length:.2g} m of path by {bent.bends_by:.2g} m, "
@@ -169,14 +170,10 @@ def explain(
     if status is SlamStatus.CONNECTED:
         return f"{found}; {'the log is corrected' if n == 1 else f'all {n} are in one frame'}{guess}"
     alone = [group[0] for group in groups if len(group) == 1]
-    words = f"{found}; {_count(n, 'log')} in {len(groups)} frames of their own"
+    words = f"{found}; {many(n, 'log')} in {len(groups)} frames of their own"
     words += f"; connected to no other: {_some(alone)}" if alone else ""
     return words + guess
 
 
 def _some(names: Sequence[str]) -> str:
     return f"{', '.join(names[:5])}{', ...' if len(names) > 5 else ''}"
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}{'' if n == 1 else 's'}"

@@ -75,8 +75,7 @@ class Window:
         about = int(np.argmin(np.linalg.norm(positions - self.center, axis=1)))
         odometry, upright = c.odometry_of(self.survey.name), c.is_gravity_aligned
         loads = bend(positions, about, odometry, upright=upright, planar=c.is_planar)
-        bent: np.ndarray = np.sqrt(2.0) * turned(loads, rotation_matrix(T).T)
-        return bent
+        return np.asarray(np.sqrt(2.0) * turned(loads, rotation_matrix(T).T))
 
     @property
     def bends_by(self) -> float:

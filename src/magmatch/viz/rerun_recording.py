@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.data.survey import Survey
 from magmatch.errors import import_extra
 from magmatch.field.map import FieldMap
@@ -157,9 +157,7 @@ def _recording(path: str | Path, shown: RerunScene) -> Iterator[tuple[ModuleType
     for part, origin in shown.placed:
         _log_part(rr, recording, shown, part, origin)
     yield rr, recording
-    content = memory.drain_as_bytes()
-    with atomic_write(path) as stream:
-        stream.write(content)
+    write_whole(path, memory.drain_as_bytes())
 
 
 def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, origin: Vector3) -> None:

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from magmatch.arguments import expect_kind
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 from magmatch.field.map import FieldMap
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult

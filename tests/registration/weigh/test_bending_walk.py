@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from hand_made import log_se3
 from magmatch import build_map, register, simulate
 from magmatch.estimation.model_prior import EACH_DRIFT, TURNS
 from magmatch.estimation.posterior import answers_of
 from magmatch.field.config import SPLINE
-from magmatch.geometry import log_se3, transform_error
+from magmatch.geometry import transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.walk_strategy import WalkStrategy

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from magmatch._version import __version__
-from magmatch.atomic import atomic_write
 from magmatch.viz.pages.page import Section, bullets, figure_row, note, paragraph, table, to_copy, write_page
 from magmatch_evaluation.experiments import MAPPING, SWEEP_AXES, SWEEP_WORDS, Experiment
 from magmatch_evaluation.figures import curve_figures, error_figure
@@ -135,12 +134,6 @@ def save_tables(findings: Findings, savers: Mapping[str, Saver]) -> None:
         savers[name](text.header, text.rows, findings.command)
     lines = [line.split(": ", 1) for line in findings.shortfalls]
     savers[BEHIND](("experiment", "where another method is ahead"), lines, findings.command)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a page, whole or not at all."""
-    with atomic_write(path) as stream:
-        stream.write(text.encode())
 
 
 def _versions() -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from magmatch.atomic import write_whole
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
 from magmatch.cli.outputs import check_folder
@@ -82,7 +83,7 @@ def evaluate(
     for what, why in found.left_out.items():
         say(f"Left out: {what}: {why}")
     text = findings.markdown(found)
-    findings.write_text(out / "results.md", text)
+    write_whole(out / "results.md", text.encode())
     if save:
         findings.save_tables(found, savers)
     put(text)

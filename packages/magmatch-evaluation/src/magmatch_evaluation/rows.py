@@ -11,7 +11,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.errors import DataFormatError
 
 Key = tuple[str, str, int, str]
@@ -114,8 +114,7 @@ def write_csv(path: Path, rows: Sequence[R], kind: type[R]) -> None:
     writer = csv.DictWriter(buffer, [f.name for f in fields(kind)], lineterminator="\n")
     writer.writeheader()
     writer.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.key))
-    with atomic_write(path) as stream:
-        stream.write(buffer.getvalue().encode())
+    write_whole(path, buffer.getvalue().encode())
 
 
 def _plain(row: Trial) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 import magmatch
 import magmatch_evaluation
-from magmatch.geometry import log_se3, transform_error
+from magmatch.geometry import transform_error
 from magmatch.registration.result import RegistrationResult
 from magmatch_evaluation.cost import Cost, MapShelf, measured
 from magmatch_evaluation.experiments import Experiment
@@ -64,7 +64,7 @@ def nees_of(result: RegistrationResult, T_true: RigidTransform) -> float:
     """Squared error over its stated covariance, per degree of freedom; NaN where none is stated."""
     if result.T_base_target is None or result.covariance is None:
         return math.nan
-    xi = log_se3(result.T_base_target.inv() * T_true)
+    xi = (result.T_base_target.inv() * T_true).as_exp_coords()
     return float(xi @ np.linalg.solve(result.covariance, xi)) / 6
 
 

@@ -52,8 +52,7 @@ def localize(
         float | None, typer.Option(help="Least probability of a stated pose.  [default: 0.99]")
     ] = None,
     max_sd: Annotated[
-        str | None,
-        typer.Option(help="Largest standard deviation of a stated pose: METRES,DEGREES.  [default: 2,30]"),
+        str | None, typer.Option(help="Largest standard deviation of a stated pose: METRES,DEGREES.  [default: 2,30]")
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with the path over the map here.")] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,

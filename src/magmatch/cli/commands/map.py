@@ -113,12 +113,12 @@ def build(
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:
     """Warn if part of the readings turns with the sensor, since a map of them is not the field of the place."""
     from magmatch.data.diagnoses import diagnose
-    from magmatch.preparation.sensor_trace import turns_with_sensor
+    from magmatch.preparation.sensor_trace import MIN_EVIDENCE, offset_evidence
 
     for survey in surveys:
         # Vectors in a wrong frame were already reported, with a remedy.
         is_wrong = any(one.is_of_frames for one in diagnose(survey))
-        if not is_wrong and turns_with_sensor(survey, field_map.hyperparameters):
+        if not is_wrong and offset_evidence(survey, field_map.hyperparameters) >= MIN_EVIDENCE:
             log.warning("%s: its readings turn with the sensor; 'magmatch prepare' calibrates it", survey.name)
 
 

@@ -24,8 +24,7 @@ EXAMPLES = (
 @command("merge", EXAMPLES, surveys=(), reads="every SURVEY")
 def merge(
     surveys: Annotated[
-        list[Path],
-        typer.Argument(help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY"),
+        list[Path], typer.Argument(help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY")
     ],
     out: Annotated[Path, typer.Option(help="Folder for surveys, maps, graph, report and result.")],
     layouts: Layouts,

@@ -20,10 +20,7 @@ APPS = "phyphox, AndroSensor, Sensor Logger, GetSensorData, XYZ10, Android"
 
 @command("odometry", EXAMPLES)
 def odometry(
-    log: Annotated[
-        Path,
-        typer.Argument(help=f"Phone's log: {APPS}.", metavar="LOG"),
-    ],
+    log: Annotated[Path, typer.Argument(help=f"Phone's log: {APPS}.", metavar="LOG")],
     out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
     step_scale: Annotated[
         float,

@@ -10,10 +10,7 @@ from magmatch.cli.command import command
 from magmatch.cli.narration import say
 from magmatch.cli.outputs import check_folder
 
-EXAMPLES = (
-    "magmatch simulate office --out pair --seed 3",
-    "magmatch register pair/base.csv pair/target.csv",
-)
+EXAMPLES = ("magmatch simulate office --out pair --seed 3", "magmatch register pair/base.csv pair/target.csv")
 
 
 @command("simulate", EXAMPLES)

@@ -90,8 +90,7 @@ def _column(path: Path, name: str, array: np.ndarray) -> np.ndarray:
     if not number.isdecimal() or not 1 <= int(number) <= len(rows):
         example = f"{what}:1" + (f" to {what}:{len(rows)}" if len(rows) > 1 else "")
         raise DataFormatError(path, f"expected one column of {_shape(array)}, {example}; found '{name}'", column=what)
-    column: np.ndarray = rows[int(number) - 1]
-    return column
+    return np.asarray(rows[int(number) - 1])
 
 
 def _shape(array: np.ndarray) -> str:

@@ -151,8 +151,7 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
 
 def _behind(times: Indices) -> Indices:
     """Measure how far each time lies before the latest of those above it."""
-    behind: Indices = np.maximum.accumulate(times) - times
-    return behind
+    return np.asarray(np.maximum.accumulate(times) - times)
 
 
 def _is_logged_twice(entries: Entries) -> bool:

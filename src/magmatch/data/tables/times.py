@@ -36,8 +36,7 @@ def seconds_of_column(values: np.ndarray, per_second: float) -> Scalars:
     """Numbers of any type as float64 seconds; whole ones are rounded once."""
     if per_second != 1 and values.dtype.kind in "iu" and values.dtype.itemsize == 8:
         return seconds_of(values.tolist(), int(per_second))
-    seconds: Scalars = values.astype(np.float64) / per_second
-    return seconds
+    return values.astype(np.float64) / per_second
 
 
 def seconds_of_dates(dates: Any) -> Scalars:
@@ -63,8 +62,7 @@ def seconds_of_text(cell: str, digits: int, decimal: Decimal = "point") -> float
 def nanoseconds_of(seconds: Scalars) -> Indices:
     """Seconds as the nearest whole nanoseconds."""
     whole = np.floor(seconds)
-    stamps: Indices = whole.astype(np.int64) * SECOND + np.rint((seconds - whole) * SECOND).astype(np.int64)
-    return stamps
+    return np.asarray(whole.astype(np.int64) * SECOND + np.rint((seconds - whole) * SECOND).astype(np.int64))
 
 
 def seconds_of_date(text: str) -> float | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.number_text import exact
 from magmatch.typing import Points, Scalars
 
@@ -25,5 +25,4 @@ def write_tum(path: str | Path, times: Scalars, positions: Points, quaternions: 
     """Write a trajectory in TUM layout; the comment above it says what it is `of`."""
     rows = np.column_stack([times, positions, quaternions])
     lines = [f"# {of}{' '.join(TUM_COLUMNS)}", *(" ".join(exact(row)) for row in rows), ""]
-    with atomic_write(path) as stream:
-        stream.write("\n".join(lines).encode())
+    write_whole(path, "\n".join(lines).encode())

@@ -9,12 +9,7 @@ import scipy.linalg
 
 from magmatch.field.cholesky.cells import LOCAL_NODES, ball_offsets
 from magmatch.field.hyperparameters import Hyperparameters
-from magmatch.field.spline.spline_basis import (
-    GRADIENT_INDEX,
-    derivative_rows,
-    derivative_table,
-    spline_values,
-)
+from magmatch.field.spline.spline_basis import GRADIENT_INDEX, derivative_rows, derivative_table, spline_values
 
 HIGHEST_TERM = 3
 # The prior all but ends where no sensor was: that is where the sources stand, and where the field may change fast.

@@ -69,8 +69,7 @@ class Steps:
         speeds = self.lengths * rate / (self.last - self.first)
         np.add.at(change, self.first, speeds)
         np.add.at(change, self.last, -speeds)
-        speed: Scalars = np.maximum(np.cumsum(change)[:n], 0)
-        return speed
+        return np.maximum(np.cumsum(change)[:n], 0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -28,12 +28,7 @@ from magmatch.estimation.limits import (
 )
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.search.invariant_search import (
-    choose_anchors,
-    frame_poses,
-    judging_samples,
-    similar_points,
-)
+from magmatch.registration.search.invariant_search import choose_anchors, frame_poses, judging_samples, similar_points
 from magmatch.registration.search.pair_search import (
     PairSearchConfig,
     PairTable,

@@ -104,8 +104,7 @@ class PoseGraph:
 
     def component(self) -> Indices:
         """For each node, the first log that shares its frame, as `frames` has it."""
-        found: Indices = self.frames()[self.log]
-        return found
+        return np.asarray(self.frames()[self.log])
 
     def is_one_pass(self, nodes: Indices | int, others: Indices | int) -> Mask:
         """Whether nodes adjoin others along one log."""
@@ -195,8 +194,7 @@ class PoseGraph:
     def surprise_of_fixed(self) -> Scalars:
         """Squared residual that each fixed point has without it, in standard deviations: (a,)."""
         off, C = self.off_fixed_without()
-        squared: Scalars = (off * np.linalg.solve(C, off[:, :, None])[:, :, 0]).sum(axis=1)
-        return squared
+        return np.asarray((off * np.linalg.solve(C, off[:, :, None])[:, :, 0]).sum(axis=1))
 
     def pose(self, k: int) -> RigidTransform:
         """Pose of a node in its component's frame."""

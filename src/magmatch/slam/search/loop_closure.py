@@ -196,16 +196,7 @@ def matches(
         gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
         T_node_alone = product(T_node_walk, e.T_base_target.inv(), T_alone, T_walk_node)
-        found.append(
-            Match(
-                T,
-                M @ e.covariance @ M.T,
-                odds,
-                densest - gained,
-                T_node_alone,
-                M @ C_alone @ M.T,
-            )
-        )
+        found.append(Match(T, M @ e.covariance @ M.T, odds, densest - gained, T_node_alone, M @ C_alone @ M.T))
     return found
 
 

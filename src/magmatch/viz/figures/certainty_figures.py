@@ -14,9 +14,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri
 
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
-from magmatch.geometry import covariance_about, exp_se3, rotation_matrix, transform_points
+from magmatch.data.survey import Survey, has_order
+from magmatch.geometry import covariance_about, rotation_matrix, transform_points
 from magmatch.number_text import told
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Matrix, Points, Scalars, Vector3
@@ -64,7 +63,8 @@ def swept(p_target: Points, T_base_target: RigidTransform, free: DegenerateDirec
     """Points moved along a free direction of the pose, the farthest by `reach`."""
     theta, rho = free.xi[:3], free.xi[3:]
     longest = float(np.linalg.norm(np.cross(theta, p_target) + rho, axis=1).max())
-    return transform_points(p_target, T_base_target * exp_se3(free.xi * (reach / max(longest, 1e-300))))
+    step = RigidTransform.from_exp_coords(free.xi * (reach / max(longest, 1e-300)))
+    return transform_points(p_target, T_base_target * step)
 
 
 def length_text(metres: float) -> str:

@@ -46,14 +46,12 @@ def require_plotly() -> ModuleType:
 
 def thinned(n: int, n_drawn: int = MAX_DRAWN) -> Indices:
     """Choose evenly which of n samples are drawn: row numbers, all of them where they are few."""
-    rows: Indices = np.linspace(0, n - 1, min(n, n_drawn), dtype=np.int64)
-    return rows
+    return np.linspace(0, n - 1, min(n, n_drawn), dtype=np.int64)
 
 
 def magnitude_ut(field: Vectors) -> Scalars:
     """Field magnitudes in uT, for display."""
-    magnitude: Scalars = UT_PER_TESLA * np.linalg.norm(field, axis=1)
-    return magnitude
+    return np.asarray(UT_PER_TESLA * np.linalg.norm(field, axis=1))
 
 
 def label(text: str) -> str:

@@ -112,10 +112,7 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
         hovertemplate="%{x:.2f}, %{y:.2f}, %{z:.2f} m<br>%{u:.1f}, %{v:.1f}, %{w:.1f} uT<extra></extra>",
     )  # fmt: skip
     at, axes, reach = inferred.positions[frames.rows[chosen]], frames.axes[chosen], 3 * inferred.spacing
-    traces: list[Any] = [
-        arrows,
-        draw.marks3d(at, "keypoints", draw.INK, draw.BASE_MARKER, 4, showlegend=False),
-    ]
+    traces: list[Any] = [arrows, draw.marks3d(at, "keypoints", draw.INK, draw.BASE_MARKER, 4, showlegend=False)]
     for k, (axis, color) in enumerate(zip("xyz", AXES, strict=True)):
         line = {"color": color, "width": 7}
         ends = draw.between(at, at + reach * axes[:, :, k])

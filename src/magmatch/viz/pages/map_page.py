@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from magmatch._version import __version__
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 from magmatch.data.units import field_text
 from magmatch.field.map import FieldMap
 from magmatch.number_text import told

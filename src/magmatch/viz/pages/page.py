@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.glossary import terms
 from magmatch.viz.figures.draw import DARK, Figure, require_plotly
 
@@ -54,8 +54,7 @@ def write_page(path: str | Path, title: str, sections: Sequence[Section]) -> Non
         dark=json.dumps(DARK),
         plotly=_packed_plotly(),
     )
-    with atomic_write(path) as stream:
-        stream.write(html.encode())
+    write_whole(path, html.encode())
 
 
 def figure_row(figures: Sequence[Figure]) -> str:

@@ -3,8 +3,7 @@
 
 from pathlib import Path
 
-from magmatch.data.order import has_order
-from magmatch.data.survey import Survey
+from magmatch.data.survey import Survey, has_order
 from magmatch.field.map import FieldMap
 from magmatch.published.config import PublishedConfig
 from magmatch.registration.maps import survey_of

@@ -14,7 +14,7 @@ from magmatch.slam.result import SlamResult, SlamStatus
 from magmatch.slam.session import Session
 from magmatch.typing import Points
 from magmatch.viz.figures import draw
-from magmatch.viz.figures.certainty_figures import LEVEL
+from magmatch.viz.figures.certainty_figures import DASHES, LEVEL
 from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, magnitude_slice
 from magmatch.viz.pages import page
 
@@ -37,7 +37,6 @@ NEXT_STEPS = {
 MAX_NODES = 60
 # Ellipses drawn in a picture.
 MAX_ELLIPSES = 40
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 
 
 def write_session_report(path: str | Path, session: Session, result: SlamResult, command: str) -> None:

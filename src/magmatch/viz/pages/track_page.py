@@ -35,11 +35,7 @@ NEXT_STEPS = {
 
 def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
     """Write one HTML page about a log in a map; it works offline and on a phone."""
-    answer = [
-        verdict_on(result),
-        "<h2 id='next'>What to do next</h2>",
-        page.bullets(next_steps(result)),
-    ]
+    answer = [verdict_on(result), "<h2 id='next'>What to do next</h2>", page.bullets(next_steps(result))]
     sections = [page.Section("", answer)]
     sections += [
         page.Section(f"In {m.survey.name}", [page.figure_row([path_figure(track, k)])])

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import time
 
-from magmatch.atomic import atomic_write
+from magmatch.atomic import write_whole
 from magmatch.errors import ConfigurationError
 
 NAME = re.compile(r"[0-9a-f]{24}\.state")
@@ -27,8 +27,7 @@ def path_of(folder: Path, client: str) -> Path:
 
 def save(path: Path, state: bytes) -> None:
     """Put a state in the place of the one before."""
-    with atomic_write(path) as stream:
-        stream.write(state)
+    write_whole(path, state)
 
 
 def load(folder: Path, client: str) -> bytes | None:
