@@ -100,7 +100,7 @@ def test_a_smooth_room_does_not_pass_for_another_with_a_biased_sensor():
 
 
 def test_preset_paper_registers_a_room_without_refinement():
-    pair = mm.simulate("office-z30", 3, SMALL)
+    pair = mm.simulate("office-z30", 3, SimulationConfig(n_samples=500))
     result = mm.register(pair.base, pair.target, PRESETS["paper"])
     distance, angle = transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)
     assert result.is_accepted

@@ -220,12 +220,12 @@ def test_few_samples_are_refused_as_from_a_file(door, survey, field_map):
         TAKES_SURVEYS[door](survey.subset(slice(9)), field_map)
 
 
-def test_what_makes_a_survey_is_said(survey, frame):
+def test_what_makes_a_survey_is_said(survey, frame, field_map):
     assert "read_survey" in is_refused(lambda: mm.register("room.csv", survey))
     assert "Survey.from_dataframe" in is_refused(lambda: mm.register(frame, survey))
     assert "Survey(positions, field)" in is_refused(lambda: mm.build_map(survey.positions))
     assert "PRESETS" in is_refused(lambda: mm.register(survey, survey, "paper"))
-    assert ".survey" in is_refused(lambda: mm.build_map(mm.build_map(survey, SETTINGS)))
+    assert ".survey" in is_refused(lambda: mm.build_map(field_map))
     assert "build_map makes one map of several" in is_refused(lambda: mm.register([survey, survey], survey))
     assert "read_survey" in is_refused(lambda: mm.slam("walk.csv"))
 

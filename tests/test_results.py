@@ -99,24 +99,20 @@ def test_counts_are_shown_with_what_they_are_of_and_the_interval_of_their_rate(c
     assert write_results.with_interval(cell, n) == shown
 
 
-def test_what_a_count_is_of_may_be_thousands(root):
-    made = table([]).load(root / "benchmarks" / "results" / "errors.json")
-    save(root, replace(made, columns=["right"], rows=[["0 of 1,200"]]))
-    short = '<!-- table: errors {"counts": ["right"]} -->\n<!-- end -->\n'
-    (root / "README.md").write_text(short)
-    results(root)
-    assert "| 0 of 1200 (0-0.3 %) |" in (root / "README.md").read_text()
-
-
-@pytest.mark.parametrize("columns", [["n", "right"], ["right", "found"]])
-def test_a_row_says_what_its_counts_are_of(root, columns):
-    cells = ["1,000" if name == "n" else "0 of 20" if name == "found" else "0" for name in columns]
+@pytest.mark.parametrize(
+    ("columns", "cells", "shown"),
+    [
+        (["right"], ["0 of 1,200"], "0 of 1200 (0-0.3 %)"),
+        (["n", "right"], ["1,000", "0"], "0 of 1000 (0-0.4 %)"),
+        (["right", "found"], ["0", "0 of 20"], "0 of 20 (0-16 %)"),
+    ],
+)
+def test_a_row_says_what_its_counts_are_of(root, columns, cells, shown):
     made = table([]).load(root / "benchmarks" / "results" / "errors.json")
     save(root, replace(made, columns=columns, rows=[cells]))
     short = '<!-- table: errors {"columns": ["right"], "counts": ["right"]} -->\n<!-- end -->\n'
     (root / "README.md").write_text(short)
     results(root)
-    shown = "0 of 1000 (0-0.4 %)" if "n" in columns else "0 of 20 (0-16 %)"
     assert f"| {shown} |" in (root / "README.md").read_text()
 
 

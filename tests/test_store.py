@@ -2,10 +2,6 @@
 """What is saved comes back to the bit, or is refused in one line that names the file, however it was damaged."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
 from collections import namedtuple
 from contextlib import suppress
 from dataclasses import dataclass
@@ -255,29 +251,3 @@ def test_a_header_never_looks_like_gzip_zip_or_any_other_signature():
     """Eight bytes stand first: the header's length is a multiple of eight, and below what 'PK' would need."""
     assert {int.from_bytes(dumps(SCHEMA, {"w": n * "a"})[:8], "little") % 8 for n in range(16)} == {0}
     assert int.from_bytes(b"PK\x03\x04", "little") > store.MAX_HEADER
-
-
-WRITER = """
-import sys
-import numpy as np
-from magmatch.store import save
-while True:
-    for k in (1, 2):
-        save(sys.argv[1], "test/1", {"x": np.full(200_000, float(k))})
-        print(flush=True)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="kills with a POSIX signal")
-def test_a_killed_writer_leaves_the_old_file_or_the_new_one(tmp_path):
-    path, rng = tmp_path / "a", np.random.default_rng(0)
-    for _ in range(3):
-        with subprocess.Popen([sys.executable, "-c", WRITER, path], stdout=subprocess.PIPE) as writer:
-            for _ in range(int(rng.integers(1, 4))):
-                writer.stdout.readline()
-            try:
-                writer.wait(rng.uniform(0, 0.02))
-            except subprocess.TimeoutExpired:
-                os.kill(writer.pid, signal.SIGKILL)
-        assert len(set(load(path, SCHEMA)["x"])) == 1
-    assert all(p.name.startswith((".a.tmp-", "a")) for p in tmp_path.iterdir())

@@ -152,6 +152,15 @@ USAGE: dict[str, tuple[Arguments, str]] = {
         lambda g, t, o: ["register", g, g, "--out", o / "r", "--report", o / "r"],
         "another result",
     ),
+    "missing configuration": (lambda g, t, o: ["map", g, "--config", t / "c.yaml", "--out", o / "m"], "c.yaml"),
+    "settings of the field that are no group": (
+        lambda g, t, o: ["map", g, "--config", written(t, "c.yaml", "field: 3\n"), "--out", o / "m"],
+        "column 'field'",
+    ),
+    "settings of preparation that are no group": (
+        lambda g, t, o: ["prepare", g, "--config", written(t, "c.yaml", "preparation: 3\n"), "--out", o / "m"],
+        "column 'preparation'",
+    ),
     "two results to view": (
         lambda g, t, o: ["view", g, g, written(t, "r.json", EMPTY_RESULT), g, "--out", o / "v.html"],
         "found 1 results and 3",
@@ -190,32 +199,10 @@ def test_a_bad_configuration_names_the_setting(case, good, out, refused, tmp_pat
     assert "c.yaml" in refused(["register", good, good, "--config", config, "--out", out / "r.json"], words, out)
 
 
-@pytest.mark.parametrize(("command", "part"), [("map", "field"), ("prepare", "preparation")])
-def test_a_part_of_the_settings_that_is_no_group_is_named(command, part, good, out, refused, tmp_path):
-    config = written(tmp_path, "c.yaml", f"{part}: 3\n")
-    refused([command, good, "--config", config, "--out", out / "m"], f"column '{part}'", out)
-
-
-def test_a_missing_configuration_is_named(good, out, refused, tmp_path):
-    refused(["map", good, "--config", tmp_path / "c.yaml", "--out", out / "m"], "c.yaml", out)
-
-
-POINTS = {
-    "not a number": ("x,y,z\n0,0,0\n0,nan,0\n", "line 3, column 'y'"),
-}
-
-
-@pytest.mark.parametrize("case", POINTS)
-def test_bad_points_are_refused_by_line(case, place, out, refused, tmp_path):
-    text, words = POINTS[case]
-    points = written(tmp_path, "p.csv", text)
-    refused(["query", place / "base.map", points, "--out", out / "q.csv"], words, out)
-
-
-def test_a_map_and_points_that_are_swapped_are_told_by_the_map(place, out, refused, tmp_path):
-    points = written(tmp_path, "p.csv", "x,y,z\n0,0,0\n")
-    words = ["query", points, place / "base.map", "--out", out / "q.csv"]
-    refused(words, "p.csv: expected a saved map", out)
+def test_bad_points_are_refused_by_line_and_swapped_ones_by_the_map(place, out, refused, tmp_path):
+    points = written(tmp_path, "p.csv", "x,y,z\n0,0,0\n0,nan,0\n")
+    refused(["query", place / "base.map", points, "--out", out / "q.csv"], "line 3, column 'y'", out)
+    refused(["query", points, place / "base.map", "--out", out / "q.csv"], "p.csv: expected a saved map", out)
 
 
 def truncated(raw: bytes) -> bytes:

@@ -44,15 +44,11 @@ def test_a_limit_that_cannot_be_is_one_line_and_code_2(words, said, place, refus
     refused(["register", place / "base.map", place / "target.map", *words, "--out", tmp_path / "r"], said, tmp_path)
 
 
-def registered(run, place, *words):
-    outcome = run("register", place / "base.map", place / "target.map", *words, "--json")
-    return outcome.code, json.loads(outcome.out)
-
-
 def test_a_tight_spread_makes_a_found_place_degenerate(place, run):
     before = json.loads((place / "result.json").read_text())
-    code, result = registered(run, place, "--max-sd", "0.0001,0.001")
-    assert (code, result["status"]) == (3, "degenerate")
+    outcome = run("register", place / "base.map", place / "target.map", "--max-sd", "0.0001,0.001", "--json")
+    result = json.loads(outcome.out)
+    assert (outcome.code, result["status"]) == (3, "degenerate")
     assert result["T_base_target"] is None
     assert result["degenerate_directions"]
     assert "0.0001 m and 0.001 deg are required" in result["reason"]
@@ -61,13 +57,3 @@ def test_a_tight_spread_makes_a_found_place_degenerate(place, run):
     # Found all the same: the best candidate is the answer of before.
     for row, expected in zip(result["alternatives"][0]["T_base_target"], before["T_base_target"], strict=True):
         assert row == pytest.approx(expected, abs=1e-9)
-
-
-def test_a_probability_beyond_what_is_reached_refuses(place, run, tmp_path):
-    # To double precision good evidence is certain: here it stands against odds.
-    settings = tmp_path / "settings.yaml"
-    settings.write_text("decision:\n  prior_odds: 1.0e-40\n", encoding="utf-8")
-    code, result = registered(run, place, "--min-probability", "0.9999", "--config", str(settings))
-    assert code == 3
-    assert result["T_base_target"] is None
-    assert result["status"] in ("inconsistent", "uninformative", "no_overlap", "ambiguous")

@@ -32,3 +32,11 @@ def recordings():
     if not RECORDINGS.is_dir():
         pytest.skip("the real recordings are not on this machine (magmatch datasets fetch NAME)")
     return RECORDINGS
+
+
+@pytest.fixture
+def walk():
+    """Six hundred samples along a path, without orientations."""
+    t = 100 + 0.5 * np.arange(600)
+    field = np.random.default_rng(0).normal([2e-5, 0, -4e-5], 1e-6, (600, 3))
+    return Survey(np.column_stack([0.3 * t, np.sin(t), 0 * t]), field, t)

@@ -50,7 +50,7 @@ def door(request, tmp_path):
             frame.to_csv(path, index=False)
         else:
             pytest.importorskip("pyarrow")
-            frame.to_parquet(path)
+            frame.to_parquet(path, compression="zstd")
         return read(path, pairs or None)
 
     return read_it
@@ -73,6 +73,20 @@ def test_one_column_cannot_be_two_things(door):
     own = dict(zip(["x", "y", "z", "bx", "by", "bz"], np.hstack([XYZ, FIELD]).T, strict=True))
     with pytest.raises(ConfigurationError, match="a column of its own for y, found 'x' for x too"):
         door(own, {"x": "x", "y": "x"})
+
+
+@pytest.mark.parametrize("text", ["", "x", "x=", "x=a,x", "q=a", "x=a,x=b", "=a"])
+def test_columns_that_are_no_pairs_are_refused(text, tmp_path):
+    with pytest.raises(ConfigurationError, match="--columns: expected pairs"):
+        read(write(tmp_path / "s.csv", "x,y,z,bx,by,bz", ROWS[:, 1:]), text)
+
+
+def test_float32_and_integers_are_numbers_too(door):
+    own = dict(zip(["x", "y", "bx", "by", "bz"], np.hstack([XYZ[:, :2], FIELD]).T, strict=True))
+    halves = np.round(2 * FIELD[:, 0]) / 2  # which both precisions hold
+    survey = door(own | {"bx": halves.astype(np.float32), "z": np.arange(N)}, {})
+    np.testing.assert_array_equal(survey.field[:, 0], halves * 1e-6)
+    np.testing.assert_array_equal(survey.positions[:, 2], np.arange(N))
 
 
 # Numbers and constants

@@ -3,20 +3,11 @@
 
 import sys
 
-import numpy as np
 import pytest
 
 from magmatch.data.read import read_survey
-from magmatch.data.survey import Survey
 from magmatch.data.write import SURVEY_WRITERS
 from magmatch.errors import MissingExtraError
-
-
-@pytest.fixture
-def walk(rng):
-    n = 40
-    times = 1.7e9 + 0.5 * np.arange(n)
-    return Survey(rng.uniform(0, 3, (n, 3)), rng.normal([2e-5, 0, -4e-5], 1e-6, (n, 3)), times)
 
 
 def hide(monkeypatch, *names):

@@ -6,7 +6,7 @@ import pytest
 
 from magmatch.errors import ConfigurationError
 from magmatch.features.config import FeatureConfig
-from magmatch.features.infer import grid_spacing, in_hull, infer
+from magmatch.features.infer import in_hull, infer
 from magmatch.geometry import random_transform
 
 
@@ -59,8 +59,9 @@ def test_only_points_that_the_map_knows_are_asked(make_map):
 def test_the_number_of_points_is_bounded(make_map, kind):
     config = FeatureConfig(spacing_in_lengthscales=0.02, max_points=2000, grid=kind)
     field_map = make_map(0)
-    assert 500 < len(infer(field_map, config)) <= 2000
-    assert grid_spacing(field_map, config) > 0.05
+    inferred = infer(field_map, config)
+    assert 500 < len(inferred) <= 2000
+    assert inferred.spacing > 0.05
 
 
 @pytest.mark.parametrize("kind", ["region", "path"])

@@ -44,12 +44,12 @@ def test_covariance_of_the_gradient_comes_with_that_of_the_field(posterior):
 
 def test_draws_spread_no_wider_than_the_covariance_says_and_those_of_a_spline_as_wide(posterior):
     q = queries(5)
-    draws = [posterior.evaluate(q, 0, w).field for w in posterior.draw_weights(3000, np.random.default_rng(1))]
+    draws = [posterior.evaluate(q, 0, w).field for w in posterior.draw_weights(1500, np.random.default_rng(1))]
     ratio = np.var(draws, axis=0) / np.diagonal(posterior.covariance(q), axis1=1, axis2=2)
-    # 3,000 draws give a variance to 2.6 %.
+    # 1,500 draws give a variance to 3.7 %.
     assert ratio.max() < 1.12
-    if isinstance(posterior, SplinePosterior):
-        assert ratio.min() > 0.88
+    # Draws of others leave out what lies between the nodes.
+    assert ratio.min() > (0.88 if isinstance(posterior, SplinePosterior) else 0.02)
 
 
 def test_without_factors_the_mean_is_the_same(posterior):

@@ -95,18 +95,12 @@ def test_derivatives_equal_finite_differences(posterior):
         np.testing.assert_allclose(bend, values.second[..., axis], atol=1e-5 * np.abs(values.second).max())
 
 
-def test_covariance_is_symmetric_positive_and_the_draws_have_it(posterior):
+def test_covariance_is_symmetric_and_positive(posterior):
     covariance = posterior.covariance(QUERIES, 1)
     np.testing.assert_array_equal(covariance, covariance.transpose(0, 2, 1))
     scale = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     correlation = covariance / (scale[:, :, None] * scale[:, None])
     assert np.linalg.eigvalsh(correlation).min() > -1e-6
-    draws = posterior.draw_weights(400, np.random.default_rng(0))
-    field = np.stack([posterior.evaluate(QUERIES[:4], weights=w).field for w in draws])
-    drawn, said = field.var(axis=0), np.diagonal(covariance[:4, :3, :3], axis1=1, axis2=2)
-    # Draws leave out what lies between the nodes; 400 of them know their variance to 7 %.
-    assert np.all(drawn < 1.4 * said)
-    assert np.all(drawn > 0.02 * said)
 
 
 def test_far_away_the_prior_returns(posterior):

@@ -11,7 +11,7 @@ from dipoles import dipoles
 from magmatch.cli.commands.info import info_table
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.fit import fit_unbounded
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
@@ -53,7 +53,7 @@ def walks(n_walks, spread=SPREAD, seed=0, **kinds):
 @pytest.fixture(scope="module")
 def mapped():
     surveys, biases = walks(6, n=40)
-    return build_map(surveys), surveys, biases
+    return build_map(surveys, SPLINE), surveys, biases
 
 
 def unordered(survey):
@@ -160,7 +160,7 @@ def lanes(rng, turn, jitter, bias, n_lanes=7, n=60):
 def test_one_robots_hard_iron_is_solved_with_its_map():
     bias = np.array([-3e-6, 1e-6, 0.0])
     survey = lanes(np.random.default_rng(0), np.pi, 0.005, bias)
-    field_map = build_map(survey, FieldConfig(prior="spline"))
+    field_map = build_map(survey, SPLINE)
     np.testing.assert_allclose(field_map.biases.bias[0, 0], bias[0], atol=0.3e-6)
     # What alternates across the lanes may as well be the field's.
     assert (np.abs(field_map.biases.bias[0] - bias) < 3 * field_map.biases.sd[0]).all()
@@ -175,9 +175,7 @@ def test_one_robots_hard_iron_is_solved_with_its_map():
 
 def test_where_no_orientations_are_known_a_robot_faces_where_it_moves():
     survey = lanes(np.random.default_rng(0), np.pi, 0.005, np.array([-3e-6, 0, 0]))
-    known, bare = (
-        build_map(one, FieldConfig(prior="spline")).biases for one in (survey, replace(survey, orientations=None))
-    )
+    known, bare = (build_map(one, SPLINE).biases for one in (survey, replace(survey, orientations=None)))
     np.testing.assert_allclose(bare.bias[0, 0], known.bias[0, 0], atol=0.2e-6)
 
 
@@ -205,7 +203,7 @@ def test_the_axes_of_travel_do_not_hang_on_the_last_samples():
 
 def test_errors_of_orientations_are_no_hard_iron():
     survey = lanes(np.random.default_rng(1), 0.0, 0.03, np.zeros(3))
-    assert build_map(survey, FieldConfig(prior="spline")).biases is None
+    assert build_map(survey, SPLINE).biases is None
 
 
 @pytest.mark.parametrize("change", ["unordered", "told"])

@@ -5,46 +5,37 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from dipoles import dipoles
-from magmatch.data.survey import Survey
+from exact_maps import room_of_dipoles, survey_in
 from magmatch.features.config import FeatureConfig
 from magmatch.features.infer import grid_spacing
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
-from magmatch.geometry import random_transform, rotate_vectors, transform_error, transform_points
+from magmatch.geometry import random_transform, transform_error
 from magmatch.published import Matches, PublishedConfig, register
 from magmatch.published.register import comparable
 from magmatch.registration.config import PRESETS
 
 CONFIG = PublishedConfig()
+BOX = np.array([3.0, 3.0, 0.6])
 T_BASE_TARGET = random_transform(np.random.default_rng(11))
 FIELD = FieldConfig(prior="divergence_free", lengthscale=0.6, signal_sd=2e-5, noise_sd=0.6e-6, spacing=0.45)
 
 
-def survey_of(source, seed, T_world_survey, n=700):
+def survey_of(room, seed, T_world_survey, n=700):
     rng = np.random.default_rng(seed)
-    x = rng.uniform(0, [3, 3, 0.6], (n, 3))
-    b = source(x) + 0.5e-6 * rng.standard_normal((n, 3))
-    T = T_world_survey.inv()
-    return Survey(transform_points(x, T), rotate_vectors(b, T))
-
-
-def room(seed, n=40):
-    rng = np.random.default_rng(seed)
-    p = rng.uniform([-1, -1, -1], [4, 4, 1.6], (40 * n, 3))
-    p = p[np.linalg.norm(p - np.clip(p, 0, [3, 3, 0.6]), axis=1) > 0.35][:n]
-    m = 3e-6 * rng.normal(size=(n, 3))
-    return lambda x: dipoles(x, p, m) + np.array([18e-6, 3e-6, -45e-6])
+    x = rng.uniform(0, BOX, (n, 3))
+    noise = 0.5e-6 * rng.standard_normal((n, 3))
+    return survey_in(room_of_dipoles(room, BOX), x, T_world_survey, noise)
 
 
 @pytest.fixture(scope="module")
 def base_map():
-    return build_map(survey_of(room(2), 1, RigidTransform.identity()), FIELD)
+    return build_map(survey_of(2, 1, RigidTransform.identity()), FIELD)
 
 
 @pytest.fixture(scope="module")
 def target_map():
-    return build_map(survey_of(room(2), 2, T_BASE_TARGET), FIELD)
+    return build_map(survey_of(2, 2, T_BASE_TARGET), FIELD)
 
 
 def test_the_published_method_finds_a_random_transform(base_map, target_map):
@@ -81,7 +72,7 @@ def test_nothing_in_common_is_a_result(base_map):
 
 
 def test_both_maps_are_asked_at_one_spacing_and_over_one_range(base_map):
-    finer = build_map(survey_of(room(2), 4, RigidTransform.identity()), FIELD.model_copy(update={"lengthscale": 0.4}))
+    finer = build_map(survey_of(2, 4, RigidTransform.identity()), FIELD.model_copy(update={"lengthscale": 0.4}))
     shared = comparable(base_map, finer, CONFIG)
     assert shared.features.spacing == grid_spacing(base_map, FeatureConfig()) > grid_spacing(finer, FeatureConfig())
     assert comparable(finer, base_map, CONFIG) == shared

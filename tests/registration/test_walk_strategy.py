@@ -49,7 +49,10 @@ def test_a_walks_pose_is_said_between_the_surveys_frames_and_is_as_unsure_as_its
     R = np.kron(np.eye(2), T_WALK.rotation.as_matrix())
     np.testing.assert_allclose(estimate.covariance, R @ whole @ R.T, atol=1e-12)
     assert (support.residual, support.n_inliers) == (1.3, 15)
+    # It is linked where the map covers it.
+    np.testing.assert_allclose(support.links.target, T_WALK.apply(POSITIONS[:15]), atol=1e-12)
     np.testing.assert_allclose(support.links.base, T.apply(support.links.target), atol=1e-12)
+    assert (support.sensor, support.fitness, support.statistics) == (None, None, {})
 
 
 def test_along_a_path_settling_leaves_a_pose_as_it_was_weighed():

@@ -98,6 +98,7 @@ def test_a_log_of_constant_field_is_followed_by_no_live_one():
         session.add(0.0, RigidTransform.identity(), [3e-5, 0, 0])
 
 
+@pytest.mark.slow
 def test_a_phone_that_recalibrates_itself_on_the_way_still_finds_what_it_passes_again():
     log, truth = drifting_walk(Place(1), 1, laps=2.6)
     steps = np.where(np.arange(len(log))[:, None] < 400, 0.0, [8e-6, -4e-6, 4e-6])

@@ -25,14 +25,6 @@ def test_a_walk_twice_round_is_corrected(lone):
     assert lone.session.graph.config.is_planar  # all poses lie at one height
 
 
-def test_logs_of_one_place_find_each_other_and_a_stranger_stays_alone(three):
-    assert sorted(map(sorted, three.session.components)) == [[0, 1], [2]]
-    joint = [three.session.trajectories[k].positions for k in (0, 1)]
-    true = np.concatenate(three.truth[:2])
-    apart = max(trajectory_error(three.truth[k], three.logs[k].positions) for k in (0, 1))
-    assert trajectory_error(true, np.concatenate(joint)) < 0.8 * apart
-
-
 def stood(n=200):
     rng = np.random.default_rng(0)
     return Survey(0.002 * rng.normal(size=(n, 3)), 3e-5 + 2e-7 * rng.normal(size=(n, 3)), times=np.arange(n) * 0.1)

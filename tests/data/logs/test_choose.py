@@ -73,21 +73,10 @@ def test_a_choice_between_topics_is_said(made, flight, saved, caplog):
     assert "is read, not" not in caplog.text
 
 
-def test_lever_and_turn_come_from_tf_static(made, flight, saved):
+def test_an_extrinsic_is_where_the_sensor_sits_on_the_body(made, flight, saved):
     mag, odom = flight.series
-    odom = made.replace(odom, child="base_link")
-    half = np.array([[0.1, -0.2, 0.3, 0.0, 0.0, 0.0, 1.0]])
-    turn = np.array([[0.0, 0.0, 0.0, 0.0, 0.6, 0.0, 0.8]])
-    chain = [
-        static(made, flight, half, "base_link", "mast"),
-        made.replace(static(made, flight, turn, "mast", "mag_link"), topic="/tf_static"),
-    ]
-    survey = read_survey(saved(mag, odom, *chain))
-    stated = read_survey(saved(mag, odom), SurveyFormat(extrinsic="0.1 -0.2 0.3 0 0.6 0 0.8"))
-    np.testing.assert_allclose(survey.positions, stated.positions, atol=1e-15)
-    np.testing.assert_allclose(survey.field, stated.field, atol=1e-20)
-    body = read_survey(saved(mag, made.replace(odom, child="mag_link")))
-    poses = flight.trajectory()
+    survey = read_survey(saved(mag, odom), SurveyFormat(extrinsic="0.1 -0.2 0.3 0 0.6 0 0.8"))
+    body, poses = read_survey(saved(mag, made.replace(odom, child="mag_link"))), flight.trajectory()
     lever = poses.orientations.apply([0.1, -0.2, 0.3])
     expected = [np.interp(survey.times, poses.times, (poses.positions + lever)[:, k]) for k in range(3)]
     np.testing.assert_allclose(survey.positions, np.column_stack(expected), atol=1e-12)
@@ -105,12 +94,6 @@ def test_extrinsic_from_yaml(made, flight, saved, tmp_path):
         (tmp_path / "extrinsic.yaml").write_text(text)
         survey = read_survey(saved(*flight.series), SurveyFormat(extrinsic=str(tmp_path / "extrinsic.yaml")))
         np.testing.assert_array_equal(survey.positions, expected.positions)
-
-
-def test_an_unknown_lever_is_said(made, flight, saved, caplog):
-    mag, odom = flight.series
-    read_survey(saved(mag, made.replace(odom, child="base_link")))
-    assert "nothing says where 'mag_link' sits on 'base_link'" in caplog.text
 
 
 def test_poses_from_tf_are_chained(made, flight, saved):

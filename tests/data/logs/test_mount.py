@@ -44,7 +44,8 @@ def close(survey, expected, atol=1e-12):
 
 
 @pytest.mark.parametrize(
-    "topics", [("/tf", "/tf"), ("/tf_static", "/tf"), ("/tf", "/tf_static"), ("/r1/tf", "/r1/tf_static")]
+    "topics",
+    [("/tf", "/tf"), ("/tf_static", "/tf"), ("/tf", "/tf_static"), ("/r1/tf", "/r1/tf_static"), 2 * ("/tf_static",)],
 )
 def test_a_mount_may_be_on_tf_and_tf_static_in_turns(topics, said, edge, caplog):
     expected = said(extrinsic=EXTRINSIC)

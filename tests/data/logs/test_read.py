@@ -14,7 +14,7 @@ from magmatch.data.logs.read import list_topics
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 
-TF, MAG, POSE = "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PoseStamped"
+TF, POSE = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/PoseStamped"
 
 
 def poses_of(values):

@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 
 from magmatch.data.read import read_survey
-from magmatch.data.survey import Survey
 from magmatch.data.tables.text import plain_file
 from magmatch.data.trajectory import Trajectory
 from magmatch.data.write import SURVEY_WRITERS
 from magmatch.errors import DataFormatError
-
-
-@pytest.fixture
-def walk():
-    rng = np.random.default_rng(0)
-    return Survey(rng.uniform(0, 3, (60, 3)), rng.normal([2e-5, 0, -4e-5], 1e-6, (60, 3)), 100 + 0.5 * np.arange(60))
 
 
 def packed(path):

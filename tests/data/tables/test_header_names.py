@@ -126,6 +126,9 @@ def test_a_magnetometer_is_read_by_the_names_in_its_header(header, row, tmp_path
     poses = write(tmp_path / "poses.txt", "# t x y z qx qy qz qw", "t x y z qx qy qz qw", " ")
     layout = SurveyFormat(field_unit="uT", field_frame="survey", trajectory=poses)
     np.testing.assert_allclose(read_survey(tmp_path / "mag.csv", layout).field, field * 1e-6, rtol=1e-14)
+    # Unless it is said otherwise, the sensor turns with the body.
+    turned = read_survey(tmp_path / "mag.csv", SurveyFormat(field_unit="uT", trajectory=poses)).field
+    np.testing.assert_allclose(turned, TURNS.apply(field * 1e-6), rtol=1e-7)
 
 
 def test_a_magnetometer_whose_names_are_others_is_refused(tmp_path):

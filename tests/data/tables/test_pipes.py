@@ -15,7 +15,6 @@ from scipy.io import savemat
 
 from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.data.read import read_survey
-from magmatch.data.survey import Survey
 from magmatch.data.tables import pipes
 from magmatch.data.tables.text import text_lines
 from magmatch.errors import DataFormatError
@@ -48,14 +47,6 @@ def piped(content):
 def _write_all(source, content):
     with os.fdopen(os.dup(source), "wb") as stream:
         stream.write(content)
-
-
-@pytest.fixture
-def walk():
-    rng = np.random.default_rng(0)
-    t = 100 + 0.5 * np.arange(600)
-    positions = np.column_stack([0.3 * t, np.sin(t), 0 * t])
-    return Survey(positions, rng.normal([2e-5, 0, -4e-5], 1e-6, (600, 3)), t)
 
 
 @pytest.mark.parametrize("kind", ["csv", "csv.gz", "parquet", "mcap"])

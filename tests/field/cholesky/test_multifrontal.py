@@ -10,7 +10,7 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky import multifrontal
 from magmatch.field.cholesky.buffer_pool import BufferPool
 from magmatch.field.cholesky.cells import lay_cells
-from magmatch.field.cholesky.multifrontal import factorise
+from magmatch.field.cholesky.multifrontal import Factors, factorise
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
@@ -159,3 +159,28 @@ def test_region_too_large_for_its_spacing_is_refused_in_one_line():
 def test_impossible_cells_are_refused(x, message):
     with pytest.raises(ValueError, match=message):
         lay_cells(x, 0.1 if len(x) == 0 else -1.0, 1.0)
+
+
+class Factor:
+    """Stands in for a factor: made once, and one in double precision serves for everything."""
+
+    n_bytes = 8
+
+    def __init__(self, precision):
+        self.precision = np.dtype(precision)
+
+
+@pytest.mark.parametrize(("can_be_light", "n_made"), [(True, 2), (False, 1)])
+def test_factors_are_made_when_they_are_asked_for_and_then_kept(can_be_light, n_made):
+    made = []
+
+    def make(precision):
+        made.append(precision)
+        return Factor(precision if can_be_light else np.float64)
+
+    factors = Factors(make)
+    assert factors.n_bytes == 0
+    assert factors.light is factors.light
+    assert factors.full.precision == np.float64
+    assert len(made) == n_made
+    assert factors.n_bytes == 8 * n_made

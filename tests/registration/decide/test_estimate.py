@@ -95,17 +95,6 @@ def test_directions_are_free_beyond_what_is_allowed_worst_first_and_named_in_the
     assert "(+0.71, +0.71, " in askew[0].words
 
 
-def test_words_name_the_axes_of_the_base_survey_whatever_frames_the_models_are_in():
-    rng = np.random.default_rng(3)
-    T_pose, T_base, T_target = (random_transform(rng) for _ in range(3))
-    # In the target's model axes: the base survey's z.
-    along = (T_base * T_pose).rotation.as_matrix().T @ [0, 0, 1]
-    C = 1e-6 * np.eye(6)
-    C[3:, 3:] += np.outer(along, along)
-    (free,) = Estimate.of(WeighedPose(T_pose, covariance=C), T_base, T_target).free_directions(LIMITS)
-    assert free.words == "sliding along base z"
-
-
 def test_a_pose_without_a_covariance_is_not_known_at_all():
     found = Estimate.of(WeighedPose(covariance=None), HERE, HERE)
     assert (found.covariance, found.covariance_about_origin) == (None, None)

@@ -8,17 +8,15 @@ import pytest
 
 from hand_made import box, prepared_map, some_field, turn_about
 from magmatch.estimation.pose_prior import FAR2
-from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform
-from magmatch.registration.decide.support import support_of_map, support_of_walk
+from magmatch.registration.decide.support import support_of_map
 from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.evidence import PoseEvidence
-from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence
 
 RNG = np.random.default_rng(0)
 FIELD = some_field(3, bend=0.0)
-T_BASE, T_TARGET, T_WALK = (random_transform(RNG) for _ in range(3))
+T_BASE, T_TARGET = (random_transform(RNG) for _ in range(2))
 BASE = replace(prepared_map(FIELD, box(RNG, 200, (2.6, 2.2, 1.4)), length=0.8), T_map_model=T_BASE)
 TARGET = replace(prepared_map(FIELD, box(RNG, 100), length=0.6), T_map_model=T_TARGET)
 CENTER = TARGET.samples.mean(axis=0)
@@ -65,14 +63,3 @@ def test_the_sensors_difference_is_said_in_the_targets_survey_axes():
     assert said["scale"] == pytest.approx(1 + np.trace(D) / 3)
     assert said["prior_sd"] == [1e-6] * 12
     assert support(weighed()).sensor is None
-
-
-def test_a_walk_is_linked_where_the_map_covers_it():
-    positions = RNG.normal(size=(20, 3))
-    walk = Walk(T_WALK, positions, np.ones((20, 3)), pose_sd=0.02)
-    best = LineEvidence(T_POSE, CENTER, np.eye(6), 0.75, 60.0, 80.0, 1.3, np.arange(20) < 15)
-    found = support_of_walk(walk, best, T_BASE * T_POSE * T_WALK.inv())
-    np.testing.assert_allclose(found.links.target, T_WALK.apply(positions[:15]), atol=1e-12)
-    np.testing.assert_allclose(found.links.base, T_BASE.apply(T_POSE.apply(positions[:15])), atol=1e-12)
-    assert (found.residual, found.n_inliers) == (1.3, 15)
-    assert (found.sensor, found.fitness, found.statistics) == (None, None, {})

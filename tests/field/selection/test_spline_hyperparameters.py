@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What one pass of a path misses of another."""
+"""What one pass of a path misses of another, and how much of a survey its evidence is computed from."""
 
 import numpy as np
 import pytest
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_evidence import EvidenceSearch
-from magmatch.field.selection.spline_hyperparameters import HeldOutErrors, cross_validate_path, expecting
+from magmatch.field.selection.spline_hyperparameters import (
+    PART_OPERATIONS,
+    SMALLER_PART,
+    HeldOutErrors,
+    cross_validate_path,
+    expecting,
+    search_part,
+    search_smaller_part,
+)  # fmt: skip
 from magmatch.field.spline.spline_model import SplineModel
 
 
@@ -63,3 +71,15 @@ def test_what_is_expected_elsewhere_widens_the_posterior_by_the_inflation_and_le
     factor = missed.inflation(wide.noise_sd)
     expected = factor**2 * before.covariance(x[:5])
     np.testing.assert_allclose(after.covariance(x[:5]), expected, atol=1e-2 * expected.max())
+
+
+def test_a_part_takes_most_of_the_operations_that_a_survey_of_its_size_may():
+    n, rng = 16_000, np.random.default_rng(0)
+    h = Hyperparameters(lengthscale=0.3, signal_sd=5e-6, noise_sd=3e-7, spacing=0.15)
+    x = rng.uniform(0, 1, (n, 3)) * [6, 6, 1]
+    b = 5e-6 * np.sin(3 * x)
+    most = PART_OPERATIONS[0] + PART_OPERATIONS[1] * n
+    part = search_part(x, b, h, is_path=False)
+    assert 0.6 * most < part.operations(h) <= most
+    smaller = search_smaller_part(x, b, h, part)
+    assert 0.6 * SMALLER_PART < smaller.operations(h) / part.operations(h) <= SMALLER_PART
