@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from drifting import trajectory_error
-from hand_made import exp_se3
 from magmatch.data.read import read_survey
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.estimation.path_noise import PRIOR_STRETCHES
