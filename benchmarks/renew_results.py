@@ -66,7 +66,7 @@ RUNS = (
     ),
     Run(
         ("many-buildings",),
-        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 134137712 --from {data}",
+        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 181530972 --from {data}",
         12,
     ),
     Run(
@@ -83,8 +83,8 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 165268575 --seeds 2 --minutes 18 --jobs {jobs} --out {out}",
-        19,
+        "experiments/slam_scenarios.py --first 173921846 --seeds 8 --drifts 1 --minutes 30 --jobs {jobs} --out {out}",
+        31,
     ),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),

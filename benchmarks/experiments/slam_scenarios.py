@@ -1,7 +1,7 @@
 """Simulated logs whose odometry drifts, corrected by their field alone.
 
     python benchmarks/experiments/slam_scenarios.py --out DIR [--first 100] [--seeds 20] [--places corridor office
-        hall table] [--passes 3 6] [--jobs 2] [--minutes N] [--save NAME]
+        hall table] [--passes 3 6] [--drifts 0.5 1 3] [--jobs 2] [--minutes N] [--save NAME]
 
 Places: a corridor walked in laps, an office walked to and fro, a hall in lanes and then in lanes across them, a
 robot in circles over a table of magnets; each passed three and six times, 0.4 uT of noise. Odometry of 0.5, 1 and
@@ -194,11 +194,13 @@ def work(name: str) -> dict[str, object]:
 
 def main() -> None:
     asked = arguments(
-        __doc__, out=Path, first=100, seeds=20, places=list(PLACES), passes=list(PASSES), jobs=os.cpu_count(),
-        minutes=np.inf, save=saver,
+        __doc__, out=Path, first=100, seeds=20, places=list(PLACES), passes=list(PASSES), drifts=list(DRIFTS),
+        jobs=os.cpu_count(), minutes=np.inf, save=saver,
     )  # fmt: skip
     seeds = range(asked.first, asked.first + asked.seeds)
-    groups = [f"{kind} {passes} {percent}" for kind in asked.places for passes in asked.passes for percent in DRIFTS]
+    groups = [
+        f"{kind} {passes} {percent}" for kind in asked.places for passes in asked.passes for percent in asked.drifts
+    ]
     # Short logs first: a run that ends early has some of each place.
     order = sorted(groups, key=lambda group: int(group.split()[1]))
     wanted = [f"{group} {seed}" for seed in seeds for group in order]
