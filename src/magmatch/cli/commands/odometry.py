@@ -35,7 +35,7 @@ def odometry(
     """Compute poses by dead reckoning for a LOG without any.
 
     Attitude comes from gyroscope and accelerometer; each step moves the position along the phone's heading, from the
-    origin, at z = 0. Length is wrong by a few per cent, and heading drifts with the gyroscope.
+    origin, at z = 0. Length is wrong by about 8 %, and heading drifts with the gyroscope.
     """
     from magmatch.data.formats.phones.read import read_phone_log
     from magmatch.data.formats.sniff import sniff

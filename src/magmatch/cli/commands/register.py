@@ -85,7 +85,9 @@ def register(
             "[default: 0.3 correlation lengths of the field, 4.6 degrees]"
         ),
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings that override the preset's.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file of settings, or an earlier result: overrides the preset's.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
     keep_index: Annotated[
         bool, typer.Option(help="Keep what was prepared of a saved map beside it, for later targets.")
