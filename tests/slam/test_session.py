@@ -262,6 +262,18 @@ def test_logs_stated_as_planar_that_lie_at_two_heights_are_warned_of(lone, caplo
     assert "stated as planar, but heights go from" in caplog.text
 
 
+def test_a_log_at_another_height_is_joined_when_it_is_added_as_when_all_are_given(three, caplog):
+    a, b, _ = three.logs
+    high = replace(b, positions=b.positions + np.array([0.0, 0.0, 3.0]))
+    session = mm.slam(a)
+    assert session.config.is_planar
+    session.add_log(high)
+    assert "b.csv: lies at another height" in caplog.text
+    assert not session.config.is_planar
+    assert len(session.components) == 1
+    assert len(mm.slam([a, high]).components) == 1
+
+
 def test_fixed_points_that_are_given_again_count_once(lone):
     point = Anchor("walk", float(lone.log.times[30]), np.zeros(3), 0.1)
     session = mm.slam(lone.log.subset(slice(80)), anchors=[point])

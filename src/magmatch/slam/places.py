@@ -52,8 +52,11 @@ class Places:
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
         assert self.maker is not None
-        if self.graph.config.is_planar and not lie_level([survey]):
-            log.warning("%s: does not lie level, and is taken as planar like the logs before it", survey.name)
+        if self.graph.config.is_planar and not lie_level([*(path.survey for path in self.paths), survey]):
+            words = "%s: lies at another height than the logs before it, or leans: heights are estimated from now on"
+            log.warning(words, survey.name)
+            self.stated = self.stated.model_copy(update={"is_planar": False})
+            self.take_drift(self.graph.config.model_copy(update={"is_planar": False}))
         survey = in_one_calibration(survey)
         bias = sensor_bias(survey, self.maker.hyperparameters, self.maker.config)
         unbiased = without_bias(survey, bias[0])

@@ -144,7 +144,8 @@ class Session:
             else:
                 places = correct_more(earlier, logs, fixed, runner, clock)
         places.stated = places.stated.model_copy(update={"origin": origin})
-        self.config, self.given, self.places = config, given, places
+        self.config = config.model_copy(update={"is_planar": places.stated.is_planar})
+        self.given, self.places = given, places
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
         self._changed()
         self._warn_of_a_wrong_point()
