@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.data.checks import check_survey
+from magmatch.data.checks import check_survey, require_one_frame
 from magmatch.data.describe import describe
+from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.missing_readings import without_missing
 from magmatch.data.read import read_survey
 from magmatch.data.survey import Survey
 from magmatch.data.units import TESLA_PER_UNIT, likely_field_unit
@@ -40,6 +42,10 @@ REFUSED = {
     "zero field": (lambda s: replace(s, field=0 * s.field), "every field value is zero"),
     "one point": (lambda s: replace(s, positions=0 * s.positions + 1), "one point"),
     "too large": (lambda s: replace(s, positions=1e6 * s.positions), "km, expected less than 100 km"),
+    "origin elsewhere": (
+        lambda s: replace(s, positions=s.positions + 5e6, frame="east, north, up of 11.6,48.1"),
+        "8660 km from the origin 11.6,48.1, .*latitude and longitude swapped",
+    ),
 }
 
 
@@ -69,13 +75,19 @@ SAID = {
     ),
     "tiny": (lambda s: replace(s, positions=s.positions * 1e-4), "span only"),
     "huge": (lambda s: replace(s, positions=s.positions * 5e3, times=1e4 * s.times), "span 14.* km"),
-    "milliseconds": (lambda s: replace(s, times=1e5 * s.times), "a sample every 5e.04 s: are they in ms"),
+    "milliseconds": (lambda s: replace(s, times=1e3 * s.times), "a sample every 500 s: are they in ms"),
+    "microseconds": (lambda s: replace(s, times=1e6 * s.times), "a sample every 5e.05 s: are they in us"),
     "nanoseconds since 1970": (lambda s: replace(s, times=1.7e18 + 5e8 * s.times), "are they in ns"),
     "degrees": (
         lambda s: replace(s, positions=s.positions * [2e-3, 3e-3, 1.0] + [48.0, 11.0, 500.0]),
         "x and y hardly change around 48, 11.*: degrees",
     ),
-    "too fast": (lambda s: replace(s, times=s.times / 100), "moves at .* m/s"),
+    "too fast": (lambda s: replace(s, times=s.times / 100), "moves at .* m/s: wrong length unit"),
+    "days": (lambda s: replace(s, times=s.times / 86400), "moves at .* m/s: are its times in days"),
+    "two sensors": (
+        lambda s: replace(s, orientations=None, field=s.field + 1e-5 * (np.arange(len(s))[:, None] % 2)),
+        "goes to and fro by 17.* uT from sample to sample: two sensors",
+    ),
 }
 
 
@@ -95,6 +107,48 @@ def test_odd_survey_is_said_but_not_refused(name, room):
     warnings = check_survey(change(room))
     assert len(warnings) == 1
     assert re.search(words, warnings[0]), warnings
+
+
+def test_a_unit_of_times_that_is_stated_is_doubted_too(room):
+    as_milliseconds = replace(room, times=1e3 * room.times)
+    (said,) = check_survey(as_milliseconds, SurveyFormat(time_unit="ms"))
+    assert "are they in us? (--time-unit us)" in said
+    assert check_survey(room, SurveyFormat(time_unit="us")) == []
+
+
+def test_a_survey_without_a_stated_frame_beside_one_about_an_origin_is_said(room, caplog):
+    about = "east, north, up of 48.1,11.6"
+    require_one_frame([room, replace(room, frame=about)])
+    assert f"room: no frame is stated, beside metres {about}" in caplog.text
+    caplog.clear()
+    require_one_frame([room, room])
+    assert not caplog.text
+
+
+MARKS = {
+    "zero in all axes": (lambda b: np.zeros(3), "0, 0, 0"),
+    "one number in all axes": (lambda b: np.full(3, -9.999e-3), "-10 mT"),
+    "one axis beyond its range": (lambda b: np.array([b[0], b[1], -4.096e-3]), "-4.1 mT"),
+}
+
+
+@pytest.mark.parametrize("frame", ["survey", "sensor"])
+@pytest.mark.parametrize("kind", MARKS)
+def test_marks_of_missing_readings_are_left_out_and_told(room, tmp_path, caplog, kind, frame):
+    mark, words = MARKS[kind]
+    readings = room.orientations.apply(room.field, inverse=True) if frame == "sensor" else room.field
+    rows = [3, 4, 17, 30]
+    readings[rows] = [mark(b) for b in readings[rows]]
+    path = tmp_path / "marked.csv"
+    replace(room, field=readings).save(path)
+    survey = read_survey(path, SurveyFormat(field_frame=frame))
+    np.testing.assert_array_equal(survey.times, np.delete(room.times, rows))
+    assert f"left out 4 of 50 samples that read {words}: marks of a missing reading" in caplog.text
+
+
+def test_readings_beside_a_magnet_are_kept(room):
+    strong = replace(room, field=room.field * np.where(np.arange(len(room)) % 9, 1.0, 30.0)[:, None])
+    assert without_missing(strong) is strong
 
 
 def test_a_jump_of_the_odometry_is_said_and_a_gap_is_none():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Checks of a survey: impossible ones are refused, suspicious ones are reported."""
 
+import logging
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -12,11 +13,13 @@ from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.sensor_axes import FEW, RESOLVED, doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey, has_order
-from magmatch.data.survey_columns import GLOBAL_FRAME
+from magmatch.data.survey_columns import GLOBAL_FRAME, origin_of
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
-from magmatch.errors import SurveyError
+from magmatch.errors import SurveyError, in_short
 from magmatch.number_text import many, told
-from magmatch.typing import Indices, Scalars
+from magmatch.typing import Indices, Scalars, Vectors
+
+log = logging.getLogger(__name__)
 
 # Fewer samples cannot fix a transform (6 unknowns) together with a field.
 MIN_SAMPLES = FEW
@@ -30,7 +33,11 @@ ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordi
 ODD_SPEED = 50.0  # m/s, median along the samples
 JUMP = 20.0  # median steps: one that is longer, and faster than that, is no step
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
+DAY, FASTEST = 86_400.0, 1e-4  # s; no survey magnetometer samples so fast
+# Share of a number by which seconds that were made of it, and back, may differ.
+ROUNDING_OF_TIMES = 1e-12
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
+TO_AND_FRO = 4.0  # of noise it is 1, along a path less
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
 
 
@@ -98,6 +105,10 @@ def require_one_frame(surveys: Sequence[Survey]) -> None:
         origin = frames[0].removeprefix(GLOBAL_FRAME)
         msg = f"expected surveys in one frame, found {frames[0]!r} and {frames[1]!r}; read all with --origin {origin}"
         raise SurveyError(msg)
+    others = [s.name for s in surveys if s.frame not in frames]
+    if frames and others:
+        words = "%s: no frame is stated, beside metres %s; all are taken to be in that one"
+        log.warning(words, ", ".join(in_short(others)), frames[0])
 
 
 def too_large(size: float) -> str:
@@ -169,6 +180,10 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
             advice = f"read as {layout.length_unit}; if the file is in mm or cm, use --length-unit mm (or cm)"
         message = f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; {advice}"
         raise _refuse(survey, message)
+    nearest = float(np.linalg.norm(survey.positions, axis=1).min())
+    if nearest > MAX_EXTENT and (origin := origin_of(survey.frame)) is not None:
+        message = f"the nearest sample lies {nearest / 1e3:.4g} km from the origin {origin}, where up is another way"
+        raise _refuse(survey, f"{message}; latitude and longitude swapped (--origin)?")
     if size == 0:
         raise _refuse(survey, "all samples lie at one point, expected a surveyed region")
 
@@ -203,6 +218,8 @@ def odd_speed(survey: Survey) -> str:
     """Say that a log moves faster than whoever carries a magnetometer; nothing otherwise."""
     if survey.times is None or (speed := float(np.median(_speeds(survey)))) <= ODD_SPEED:
         return ""
+    if float(np.median(np.diff(survey.times))) < FASTEST and speed <= ODD_SPEED * DAY:
+        return f"the sensor moves at {speed:.3g} m/s: are its times in days? Multiply them by {DAY:.0f}"
     return f"the sensor moves at {speed:.3g} m/s: wrong length unit (--length-unit), or times not in seconds?"
 
 
@@ -252,11 +269,21 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
     n_stuck = int((find_repeats(survey.field) | find_repeats(sensor_readings(survey))).sum())
     if 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
+    yield from _doubt_turns(sensor_readings(survey))
+
+
+def _doubt_turns(readings: Vectors) -> Iterator[str]:
+    """Whether readings go to and fro: of one sensor, the next reading is about as near as the one after it."""
+    if len(readings) < FEW:
+        return
+    next_one, after = (float(np.median(np.linalg.norm(readings[k:] - readings[:-k], axis=1))) for k in (1, 2))
+    if next_one > TO_AND_FRO * max(after, RESOLVED):
+        yield f"the field goes to and fro by {field_text(next_one)} from sample to sample: two sensors in one log?"
 
 
 def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
-    unit = _likely_time_unit(survey) if read_as == "s" else None
-    if unit is not None and survey.times is not None:
+    unit = _likely_time_unit(survey, read_as)
+    if unit not in {None, read_as} and survey.times is not None:
         step = float(np.median(np.diff(survey.times)))
         span = f"times begin at {told(survey.times[0])} s, with a sample every {step:.4g} s"
         yield f"{span}: are they in {unit}? (--time-unit {unit})"
@@ -266,13 +293,20 @@ def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
         yield f"time has {many(len(gaps), 'gap')}, {gaps.sum():.3g} s in all, the longest {gaps.max():.3g} s"
 
 
-def _likely_time_unit(survey: Survey) -> TimeUnit | None:
-    """The unit that whole numbers of times are probably in; None for seconds."""
-    if survey.times is None or not (survey.times == np.round(survey.times)).all():
+def _likely_time_unit(survey: Survey, read_as: TimeUnit) -> TimeUnit | None:
+    """The unit that whole numbers of times are probably in; None where those do not look like another than stated."""
+    if survey.times is None:
         return None
-    for unit in ("ms", "us", "ns"):
-        if SINCE_1970[0] < survey.times[0] / UNITS_PER_SECOND[unit] < SINCE_1970[1]:
+    numbers = survey.times * UNITS_PER_SECOND[read_as]
+    if not (np.abs(numbers - np.round(numbers)) <= ROUNDING_OF_TIMES * np.abs(numbers)).all():
+        return None
+    finer: tuple[TimeUnit, ...] = ("ms", "us", "ns")
+    for unit in finer:
+        if SINCE_1970[0] < numbers[0] / UNITS_PER_SECOND[unit] < SINCE_1970[1]:
             return unit
-    interval = float(np.median(np.diff(survey.times)))
     step = float(np.median(np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)))
-    return "ms" if interval > SLOW[0] and step < SLOW[1] * interval else None
+    interval = float(np.median(np.diff(survey.times)))
+    if not (interval > SLOW[0] and step < SLOW[1] * interval):
+        return None
+    interval *= UNITS_PER_SECOND[read_as]
+    return next((unit for unit in finer if interval <= SLOW[0] * UNITS_PER_SECOND[unit]), None)

@@ -126,7 +126,9 @@ def _of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
     median = float(np.median(np.linalg.norm(survey.field, axis=1)))
     if not ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
         likely = likely_field_unit(median / TESLA_PER_UNIT[unit])
-        remedy = f"if the file is in {likely}, use --field-unit {likely}" if likely else "a wrong unit, or a magnet?"
+        remedy = "a wrong unit, or a magnet?"
+        if likely:
+            remedy = f"if the file is in {likely}, use --field-unit {likely}; else the sensor has an offset"
         measured = f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT)"
         yield Diagnosis("magnitude", measured, remedy)
 

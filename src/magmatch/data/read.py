@@ -21,6 +21,7 @@ from magmatch.data.formats.phones.read import read_phone_log, read_phone_recordi
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
+from magmatch.data.missing_readings import without_missing
 from magmatch.data.survey import Survey
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.trajectory import Trajectory
@@ -122,7 +123,8 @@ def read_poses(path: str | Path, layout: SurveyFormat) -> Trajectory | None:
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
-    """The survey itself; doubts are logged."""
+    """The survey without readings that are missing; doubts are logged."""
+    survey = without_missing(survey)
     for warning in check_survey(replace(survey, name=str(path)), layout):
         logger.warning("%s: %s", path, warning)
     return survey
@@ -136,13 +138,14 @@ def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, Surv
     if layout.rate is not None and kind in {"log", "phone", "euroc"}:
         raise DataFormatError(path, "holds times of its own: leave out --rate")
     survey, used = READERS[kind](path, layout)
-    return replace(survey, name=Path(path).name), used
+    return without_missing(replace(survey, name=Path(path).name)), used
 
 
 def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:
     """Tell what a file is by its content; where columns are stated, any text is a table: its user knows it better."""
     kind = sniff(path)
-    return "csv" if layout.columns and kind in {"phone", "tum"} and at_rest(path).is_file() else kind
+    names_columns = layout.columns and layout.field_axes() is None
+    return "csv" if names_columns and kind in {"phone", "tum"} and at_rest(path).is_file() else kind
 
 
 def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:

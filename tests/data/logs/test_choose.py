@@ -166,6 +166,32 @@ def test_header_stamps_count_and_a_distant_log_clock_is_said(made, flight, saved
     assert "different clocks" in caplog.text
 
 
+def test_stamps_that_share_no_time_give_way_to_log_times(made, flight, saved, caplog):
+    mag, odom = flight.series
+    booted = made.replace(odom, stamp_ns=odom.log_ns - odom.log_ns[0] + SECOND)
+    survey = read_survey(saved(mag, booted))
+    np.testing.assert_array_equal(survey.times, read_survey(saved(mag, odom)).times)
+    assert "share no time: two clocks; log times are used" in caplog.text
+    assert "Header stamps are used" not in caplog.text
+
+
+def test_an_axis_of_a_log_is_reversed_as_a_column_is(made, flight, saved):
+    path = saved(*flight.series)
+    as_read = read_survey(path, SurveyFormat(field_frame="survey")).field
+    turned = read_survey(path, SurveyFormat(field_frame="survey", columns="bx=by,by=-bx")).field
+    np.testing.assert_array_equal(turned, as_read[:, [1, 0, 2]] * [1, -1, 1])
+    with pytest.raises(ConfigurationError, match="a log has none; expected ways of its axes such as by=-by, found"):
+        read_survey(path, SurveyFormat(columns="bx=mag_x"))
+
+
+def test_a_topic_without_orientations_is_not_said_to_be_recoverable(made, flight, saved):
+    mag, odom = flight.series
+    still = made.replace(odom, values=odom.values * [1, 1, 1, 0, 0, 0, 0])
+    for recover in (False, True):
+        with pytest.raises(DataFormatError, match=r"length 0; none of its \d+ messages is a whole nav_msgs"):
+            read_survey(saved(mag, still), SurveyFormat(recover=recover))
+
+
 @pytest.mark.parametrize("stamp", [0, -1])
 def test_without_stamps_both_topics_take_log_times(made, flight, saved, caplog, stamp):
     mag, odom = flight.series

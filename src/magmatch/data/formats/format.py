@@ -2,7 +2,7 @@
 """The settings for what a survey file does not say itself: units, frames, poses from another file."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import Field
 
@@ -10,6 +10,9 @@ from magmatch.data.tables.number_marks import Decimal
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit
 from magmatch.errors import ConfigurationError
 from magmatch.settings import Settings
+
+if TYPE_CHECKING:
+    from magmatch.typing import Matrix, Vectors
 
 COLUMN_NAMES = ("t", "x", "y", "z", "bx", "by", "bz", "qx", "qy", "qz", "qw", "lat", "lon", "alt")
 
@@ -35,7 +38,8 @@ class SurveyFormat(Settings):
     columns: str | None = Field(
         default=None,
         description="A table's columns: by name (x=pos_x,bx=mag_x,...), by number, counted from 1 (t=1,bx=2,...), or "
-        "one constant for all rows (z=0, z=1.20). A minus reverses a column (by=-mag_y).",
+        "one constant for all rows (z=0, z=1.20). A minus reverses a column (by=-mag_y); of a bag or a phone's log "
+        "it reverses an axis (by=-by).",
     )
     rate: float | None = Field(default=None, gt=0, description="Samples per second of a table without times.")
     origin: str | None = Field(
@@ -63,8 +67,8 @@ class SurveyFormat(Settings):
     )
     recover: bool = Field(
         default=False,
-        description="Read the intact part of a damaged log or table (not Parquet), and of --trajectory, and report "
-        "what was lost.",
+        description="Read the intact part of a damaged log or table (of Parquet: rows that hold numbers), and of "
+        "--trajectory, and report what was lost.",
     )
     # None: the file's value (files written by this package have one), else 0, which means unknown or exact.
     pose_sd: float | None = Field(
@@ -80,6 +84,28 @@ class SurveyFormat(Settings):
     def stated_columns(self) -> dict[str, str]:
         """Read `columns`: for our names of columns the file's name (lower case), a number or a constant."""
         return {ours: text for ours, (text, _) in self._columns().items()}
+
+    def field_axes(self) -> "Matrix | None":
+        """The sensor's axes by those that are read (by=-by), where `columns` states nothing else: (3, 3)."""
+        import numpy as np  # late for help
+
+        ours = ("bx", "by", "bz")
+        stated = dict(zip(ours, ours, strict=True)) | self.stated_columns()
+        if self.columns is None or sorted(stated.values()) != list(ours):
+            return None
+        axes = np.eye(3)[[ours.index(stated[name]) for name in ours]]
+        signs = [[-1.0 if name in self.reversed_columns() else 1.0] for name in ours]
+        return np.asarray(axes * np.array(signs))
+
+    def turned(self, field: "Vectors") -> "Vectors":
+        """Vectors of a log, which has no columns, in the axes that `columns` states."""
+        if self.columns is None:
+            return field
+        if (axes := self.field_axes()) is None:
+            msg = f"--columns: a log has none; expected ways of its axes such as by=-by, found '{self.columns}'"
+            raise ConfigurationError(msg)
+        turned: Vectors = field @ axes.T
+        return turned
 
     def reversed_columns(self) -> tuple[str, ...]:
         """Our names of the columns that `columns` states with a minus."""

@@ -39,7 +39,9 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         }
         about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
-    return replace(chosen.of(table_of_columns(path, columns, comments=comments)), names=tuple(names))
+    return replace(
+        chosen.of(table_of_columns(path, columns, recover=layout.recover, comments=comments)), names=tuple(names)
+    )
 
 
 def _index_of_dates(path: str | Path, file: Any) -> dict[str, str]:

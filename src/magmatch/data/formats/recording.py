@@ -74,7 +74,7 @@ class Recording:
             span = _span(times) if len(times) else "nothing"
             message = (
                 f"no sample lies within the trajectory: the field covers {span}, "
-                f"{self.poses_from or 'the poses'} covers {_span(poses.times)}; "
+                f"{f'{self.poses_from} covers' if self.poses_from else 'the poses cover'} {_span(poses.times)}; "
                 "both need the same clock"
             )
             raise DataFormatError(self.path, message, column="t")

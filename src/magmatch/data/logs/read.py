@@ -70,7 +70,7 @@ def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     return Recording(
         path=log.path,
         times=times[is_new],
-        field=field.values[is_new] * TESLA_PER_UNIT[layout.field_unit],
+        field=layout.turned(field.values[is_new] * TESLA_PER_UNIT[layout.field_unit]),
         trajectory=poses.trajectory,
         field_frame=frame,
         has_orientations=poses.has_orientations,

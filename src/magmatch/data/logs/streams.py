@@ -68,6 +68,8 @@ def _stream(path: Path, topic: Topic, decoder: Decoder, *, recover: bool) -> Top
     if faults:
         (first, fault), n = min(faults), len({number for number, _ in faults})
         words = f"{topic.name}, message {first}: {fault}"
+        if not stream.entries:
+            raise DataFormatError(path, f"{words}; none of its {n} messages is a whole {topic.type}")
         if not recover:
             raise DataFormatError(path, f"{words} ({n} such messages; --recover leaves them out)")
         logger.warning("%s: left out %d messages that are no whole %s (%s)", path, n, topic.type, words)
@@ -102,7 +104,7 @@ def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream
     unstamped = [s.topic.name for s in streams if not any((part.stamp_ns > 0).any() for part in s.entries.values())]
     if unstamped:
         logger.warning("%s: the headers of %s have no stamps; log times are used", path, ", ".join(unstamped))
-        return [stream.changed(lambda part: replace(part, stamp_ns=part.log_ns)) for stream in streams]
+        return _by_log_times(streams)
     # Zero stands for no stamp, unless the message was logged at zero too: simulated clocks begin there.
     kept = [
         s.changed(lambda part: part.at((part.stamp_ns > 0) | ((part.stamp_ns | part.log_ns) == 0))) for s in streams
@@ -114,14 +116,29 @@ def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream
     behind = {s.topic.name: [part.log_ns - part.stamp_ns for part in s.entries.values()] for s in kept}
     delays = {name: float(np.median(np.concatenate(parts))) if parts else 0.0 for name, parts in behind.items()}
     odd = {name: delay for name, delay in delays.items() if abs(delay) > ODD_DELAY_NS}
+    are_apart = bool(odd) and max(delays.values()) - min(delays.values()) > ODD_DELAY_NS
+    names = " and ".join(delays)
+    if are_apart and _share_no_time(kept):
+        logger.warning("%s: the header stamps of %s share no time: two clocks; log times are used", path, names)
+        return _by_log_times(streams)
     for name, delay in odd.items():
         logger.warning(
             "%s: %s was logged %.3g s after its header stamps (median): two clocks? Header stamps are used",
             path, name, delay / 1e9,
         )  # fmt: skip
-    if odd and max(delays.values()) - min(delays.values()) > ODD_DELAY_NS:
-        logger.warning("%s: the header stamps of %s lie on different clocks", path, " and ".join(delays))
+    if are_apart:
+        logger.warning("%s: the header stamps of %s lie on different clocks", path, names)
     return kept
+
+
+def _by_log_times(streams: Sequence[TopicStream]) -> list[TopicStream]:
+    return [stream.changed(lambda part: replace(part, stamp_ns=part.log_ns)) for stream in streams]
+
+
+def _share_no_time(streams: Sequence[TopicStream]) -> bool:
+    """Whether no time lies within the header stamps of all streams."""
+    stamps = [np.concatenate([part.stamp_ns for part in s.entries.values()]) for s in streams if len(s)]
+    return max(int(t.min()) for t in stamps) > min(int(t.max()) for t in stamps)
 
 
 def in_order(path: Path, topic: str, entries: Entries) -> Entries:

@@ -81,6 +81,8 @@ class Table:
                 f"time {kind}: {told(values[row])} after {told(values[row - 1])}; expected strictly increasing times "
                 "of one recording, whose rows are sorted by time"
             )
+            if kind == "repeats":
+                message += " (too coarse, as whole seconds or single precision? A survey takes --rate HZ instead)"
             raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column=name)
 
 

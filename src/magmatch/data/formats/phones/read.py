@@ -84,7 +84,7 @@ def read_phone_recording(
             )
         log = raw
     stream = log.require(sensor or "field", "a survey")
-    field = stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit]
+    field = layout.turned(stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit])
     hint = "" if layout.trajectory or trajectory is not None else _odometry_hint(path)
     return replace(with_poses(path, stream.times, field, layout, hint, trajectory), waypoints=points)
 

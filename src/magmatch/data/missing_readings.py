@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Readings that are marks: programs write 0, 0, 0 or a number out of range where a magnetometer gave no reading."""
+
+import logging
+
+import numpy as np
+
+from magmatch.data.sensor_axes import Levels, sensor_readings
+from magmatch.data.survey import Survey
+from magmatch.data.units import field_text
+from magmatch.typing import Mask, Scalars
+
+log = logging.getLogger(__name__)
+
+# A value that comes back exactly, and is so many times the median field: a magnet's field varies from place to place.
+OUT_OF_RANGE, FEWEST = 10.0, 2
+
+
+def without_missing(survey: Survey) -> Survey:
+    """Leave out samples whose reading is a mark, with a warning; where most are, none: the columns are wrong then."""
+    is_mark, values = find_marks(survey)
+    if not 0 < is_mark.sum() < len(survey) / 2:
+        return survey
+    told = " or ".join(dict.fromkeys(field_text(value) if value else "0, 0, 0" for value in values))
+    words = "%s: left out %d of %d samples that read %s: marks of a missing reading, or one out of range"
+    log.warning(words, survey.name, is_mark.sum(), len(survey), told)
+    return survey.subset(~is_mark)
+
+
+def find_marks(survey: Survey) -> tuple[Mask, list[float]]:
+    """Samples whose reading is a mark (n,), and the values, T, that mark them: 0 is said of all axes together.
+
+    Marks are in the sensor's axes, or in those of the survey where a program turned the readings.
+    """
+    sizes = np.linalg.norm(survey.field, axis=1)
+    is_mark, values = sizes == 0, [0.0] if (sizes == 0).any() else []
+    if len(survey) == 0 or (most := OUT_OF_RANGE * float(np.median(sizes))) == 0:
+        return is_mark, values
+    for levels in (*Levels.of(sensor_readings(survey)), *Levels.of(survey.field)):
+        odd = np.flatnonzero((np.abs(levels.values) > most) & (_times_read(levels) >= FEWEST))
+        is_mark |= np.isin(levels.number, odd)
+        values += levels.values[odd].tolist()
+    return is_mark, values
+
+
+def _times_read(levels: Levels) -> Scalars:
+    """Count how often each value was read; what is held counts, too."""
+    return np.bincount(levels.number, minlength=len(levels.values))
