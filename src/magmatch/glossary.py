@@ -20,7 +20,8 @@ def terms() -> dict[str, str]:
 def terms_in(text: str) -> dict[str, str]:
     """The terms that a text uses, singular or plural, with their definitions."""
     words = text.lower()
-    return {term: said for term, said in terms().items() if re.search(rf"\b{term.lower()}s?\b", words)}
+    # An option's words are no terms: --prior-pose.
+    return {term: said for term, said in terms().items() if re.search(rf"(?<![\w-]){term.lower()}s?(?![\w-])", words)}
 
 
 def _plain(markdown: str) -> str:

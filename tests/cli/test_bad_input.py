@@ -155,11 +155,11 @@ USAGE: dict[str, tuple[Arguments, str]] = {
     "missing configuration": (lambda g, t, o: ["map", g, "--config", t / "c.yaml", "--out", o / "m"], "c.yaml"),
     "settings of the field that are no group": (
         lambda g, t, o: ["map", g, "--config", written(t, "c.yaml", "field: 3\n"), "--out", o / "m"],
-        "column 'field'",
+        ": field: ",
     ),
     "settings of preparation that are no group": (
         lambda g, t, o: ["prepare", g, "--config", written(t, "c.yaml", "preparation: 3\n"), "--out", o / "m"],
-        "column 'preparation'",
+        ": preparation: ",
     ),
     "two results to view": (
         lambda g, t, o: ["view", g, g, written(t, "r.json", EMPTY_RESULT), g, "--out", o / "v.html"],
@@ -180,7 +180,7 @@ LAUGHS = "a0: &a0 [1, 2]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}, *a{i 
 CONFIGS: dict[str, tuple[str, str]] = {
     "not YAML": ("field: [1, 2\n", "line"),
     "a word": ("fast\n", "str"),
-    "unknown setting": ("lengthscal: 1\n", "column 'lengthscal'"),
+    "unknown setting": ("lengthscal: 1\n", ": lengthscal: "),
     "misspelt nested setting": ("field: {lenghtscale: 1}\n", "did you mean 'lengthscale'?"),
     "out of bounds": ("field: {lengthscale: -1}\n", "field.lengthscale"),
     "a Python object": ("!!python/object/apply:os.system ['true']\n", "line 1"),

@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from magmatch.cli import STARTED
-from magmatch.number_text import chance
+from magmatch.number_text import chance, many
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -73,7 +73,7 @@ def _figures(result: "RegistrationResult") -> str:
     parts += [f"overlap {result.overlap:.0%}"]
     parts += [] if result.residual is None else [f"normalised residual {result.residual:.2f}"]
     parts += [] if result.fitness is None else [f"fitness {result.fitness:.3g}"]
-    parts += [f"{result.n_inliers} inliers of {result.n_correspondences} correspondences"]
+    parts += [f"{many(result.n_inliers, 'inlier')}, {result.n_correspondences} correspondences tried"]
     if not result.is_accepted and result.alternatives:
         parts += ["best candidate under 'alternatives' of the JSON"]
     return ", ".join(parts)

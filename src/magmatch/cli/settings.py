@@ -60,7 +60,7 @@ def merged(config: Config, path: Path | None, part: str = "") -> Config:
         first = error.errors()[0]
         if first["type"] == "extra_forbidden":
             words = _known_names(type(config), first["loc"])
-        raise DataFormatError(path, words, column=place) from None
+        raise DataFormatError(path, f"{place}: {words}") from None
 
 
 def with_limits(config: Decided, min_probability: float | None, max_sd: str | None) -> Decided:

@@ -263,4 +263,6 @@ class Belief:
         said = f"the best pose has probability {too_low(found.best)}, {needed:g} is needed"
         if found.rivals > found.null:
             return f"{said}; others have {found.rivals:.2g} together"
-        return f"{said}: the body is not in the map, or the field along its path has too little structure so far"
+        reasons = ["the body is not in the map", "the field along its path has too little structure so far"]
+        reasons += ["z is not up in both (--no-gravity)"] if self._config.is_gravity_aligned else []
+        return f"{said}: {', '.join(reasons[:-1])}, or {reasons[-1]}"

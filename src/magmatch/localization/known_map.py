@@ -97,7 +97,7 @@ class KnownMap:
         up, bent = np.ascontiguousarray(R[:, 2]), np.diag(np.repeat([noise.attitude_sd**2, place_sd**2], 3))
         return cls(
             index,
-            base.field_map.survey.name,
+            base.field_map.survey.name if base.field_map.file is None else base.field_map.file.path.name,
             R,
             Ground(values, raster.origin, raster.spacing, up),
             Frame(base.T_map_model.as_matrix(), up, bent),
