@@ -169,7 +169,7 @@ def _sniff_archive(path: str | Path) -> FileKind:
     """A zip archive is a phone's export, or nothing we read."""
     with damage_told(path, "zip archive"), zipfile.ZipFile(at_rest(path)) as archive:
         members = archive.namelist()
-        has_tables = bool(phone_tables_of(archive))
+        has_tables = bool(phone_tables_of(Path(path), archive))
     if "[Content_Types].xml" in members or any(name.lower().endswith((".xls", ".xlsx")) for name in members):
         raise DataFormatError(path, f"is an Excel workbook or Office document, or holds one; {_NO_WORKBOOKS}")
     if has_tables:
