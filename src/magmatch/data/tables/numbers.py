@@ -93,6 +93,8 @@ class NumberReader:
         if self.delimiter == "," and len(cells) > width and all(map(is_number, cells)):
             advice = "numbers that hold commas need quotes, or semicolons between the cells; row numbers need a name"
             raise ForeignNumberError(self.path, f"{message}; {advice}", line=line)
+        if len(cells) == width + 1:
+            message += "; row names or numbers need a name in the header too"
         raise DataFormatError(self.path, message, line=line)
 
     def _values(self, line: int, cells: Sequence[str]) -> list[float]:
