@@ -124,3 +124,12 @@ def test_what_may_be_a_last_column_without_a_name_is_no_row_name(rows, tmp_path)
         read_survey(path, UT)
     quoted = write(tmp_path / "quoted.csv", rows, change=lambda _, cells: [f'"{cell}"' for cell in (*cells, "")])
     np.testing.assert_array_equal(read_survey(quoted, UT).times, rows[:, 0])
+
+
+@pytest.mark.parametrize("layout", [UT, RECOVER])
+@pytest.mark.parametrize("names", ["t,x,y,z,bx,by,bz", "T,X,Y,Z,Bx,By,Bz"])
+def test_two_tables_in_one_file_are_not_one_survey(layout, names, rows, tmp_path):
+    path = write(tmp_path / "two.csv", rows, names)
+    path.write_text(f"{path.read_text()}\n{path.read_text()}")
+    with pytest.raises(DataFormatError, match=rf"line {N + 2}: repeats the header: two tables.*; split the file"):
+        read_survey(path, layout)

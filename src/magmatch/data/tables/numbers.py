@@ -53,6 +53,7 @@ class NumberReader:
                 self._require_width(line, cells)
                 numbers.extend(self._values(line, cells))
             except DataFormatError as error:
+                self._refuse_header(line, cells)
                 self._leave_out(error)
                 continue
             lines.append(line)
@@ -70,6 +71,12 @@ class NumberReader:
             read_as = "read as marks of thousands, not of decimals" if is_point else "read as points"
             logger.warning("%s: %scommas were %s", self.path, "" if is_point else "decimal ", read_as)
         return np.array(numbers).reshape(-1, len(self.places)), np.array(lines, dtype=np.int64), words
+
+    def _refuse_header(self, line: int, cells: Sequence[str]) -> None:
+        """Refuse a row that repeats the header, also where recovering: another table begins there."""
+        if [cell.strip().strip("'\"").lower() for cell in cells] == list(self.names):
+            message = "repeats the header: two tables, one after the other; split the file before this line"
+            raise DataFormatError(self.path, message, line=line)
 
     def _leave_out(self, error: DataFormatError) -> None:
         """Count a faulty row where recovering; refuse it elsewhere."""
