@@ -183,3 +183,13 @@ def test_a_name_that_states_another_unit_than_the_option_is_told(theirs, options
     read_survey(tmp_path / "walk.csv", SurveyFormat(columns=f"{ours}={theirs}", **options))
     assert words in caplog.text
     assert ("its name means" in caplog.text) == bool(words)
+
+
+def test_samples_for_a_trajectory_are_told_which_column_is_their_clock(tmp_path, poses):
+    path = tmp_path / "toolbox.csv"
+    np.savetxt(path, np.column_stack([TIMES, FIELD]), delimiter=",", header="time,Bx,By,Bz", comments="")
+    with pytest.raises(DataFormatError, match=r"need times on its clock: --columns t=time$"):
+        read_survey(path, poses(0))
+    layout = SurveyFormat(trajectory=poses(0).trajectory, columns="t=time", field_unit="uT")
+    survey = read_survey(path, layout)
+    np.testing.assert_allclose(survey.times, TIMES)
