@@ -130,6 +130,7 @@ FOREIGN_CASES = {
     "other JSON": (b'{"schema": "other/1"}', ["other/1"]),
     "broken JSON": (b'{"schema": ', ["JSON"]),
     "endless JSON": (b"[" * 200_000, ["JSON"]),
+    "a pose graph": ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", ["g2o pose graph", "no times", "rows t x y z qx qy qz qw"]),
     "a trajectory": ("\n".join(f"{i} 0 0 0 0 0 0 1" for i in range(20)), ["TUM", "no field", "--trajectory"]),
 }
 
@@ -173,6 +174,7 @@ def test_wrong_field_unit_is_refused_with_the_flag_that_helps(name, tmp_path):
 TUM_CASES = {
     "seven columns": ("0 0 0 0 0 0 0\n" * 3, ["line 1", "expected rows of t, x, y, z", "found 7 cells"]),
     "header without qw": ("t x y z qx qy qz q\n0 0 0 0 0 0 0 1\n", ["line 1", "missing qw", "found t, x, y"]),
+    "KITTI": ("1 0 0 5 0 1 0 6 0 0 1 7\n" * 3, ["line 1", "12 numbers a row are KITTI poses", "no times", "t x y z"]),
     "text": ("0 0 0 0 0 0 0 1\n1 0 0 north 0 0 0 1\n", ["line 2", "column 'z'", "'north'"]),
     "one pose": ("0 0 0 0 0 0 0 1\n", ["at least two poses", "found 1"]),
     "time repeats": ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", ["line 2", "time repeats"]),

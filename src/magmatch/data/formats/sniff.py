@@ -44,6 +44,11 @@ _FOREIGN: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
     ((b"<!DOCTYPE", b"<!doctype", b"<html"), "web page", "download the raw file instead"),
     (b"<table", "web page", "export it as CSV"),
+    (
+        (b"VERTEX_SE", b"EDGE_SE"),
+        "g2o pose graph",
+        "its poses have no times: give a trajectory of rows t x y z qx qy qz qw",
+    ),
     (b"<?xml", "XML document", "export it as CSV"),
 )
 # A ROS 2 bag may also be a folder of such files.
