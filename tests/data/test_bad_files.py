@@ -55,6 +55,7 @@ TABLE_CASES = {
     "header only": (table(), ["header row but no samples"]),
     "no header": ("\n".join(rows()), ["line 1", "header row", "found numbers"]),
     "header commented out": ("# " + HEADER + "\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
+    "a number with an underscore": (with_row(3, "1_0,0,0,2e-5,0,0"), ["line 4, column 'x'", "found '1_0'"]),
     "prose": ("Dear reader,\nthis is a letter.\n", ["expected columns", "bx", "found dear reader"]),
     "missing column": (table(*rows(), header="x,y,z,bx,by,up"), ["missing bz", "found x, y, z, bx, by, up"]),
     "unit in a name": (table(*rows(), header="x,y,z,bx [uT],by,bz"), ["missing bx", "bx [ut]"]),
