@@ -129,6 +129,7 @@ FOREIGN_CASES = {
     "another zip": (zipped(**{"a.bin": "x"}), ["zip archive", "unpack"]),
     "a registration": (b'{"schema": "magmatch.registration/1"}', ["registration result", "expected a survey"]),
     "other JSON": (b'{"schema": "other/1"}', ["other/1"]),
+    "a phone's JSON": (b'[{"sensor": "Magnetometer", "x": "1"}]', ["a phone's log in JSON", "export it as CSV"]),
     "broken JSON": (b'{"schema": ', ["JSON"]),
     "endless JSON": (b"[" * 200_000, ["JSON"]),
     "a pose graph": ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", ["g2o pose graph", "no times", "rows t x y z qx qy qz qw"]),

@@ -192,9 +192,12 @@ def _sniff_archive(path: str | Path) -> FileKind:
 def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
     try:
-        schema = mapping_in(json.loads(read_bytes(path).decode("utf-8-sig"))).get("schema")
+        content = json.loads(read_bytes(path).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
+    if isinstance(content, list) and any("sensor" in mapping_in(row) for row in content[:1]):
+        raise DataFormatError(path, "is a phone's log in JSON, as Sensor Logger writes it; export it as CSV")
+    schema = mapping_in(content).get("schema")
     if str(schema).startswith(_REGISTRATION_SCHEMA):
         return "registration"
     found = f"with schema {schema!r}" if schema else "without a schema"
