@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A file is there whole or not at all."""
 
+import errno
 import os
 import stat
 from pathlib import Path
@@ -37,6 +38,16 @@ def test_exception_keeps_the_old_file_and_leaves_nothing_behind(tmp_path, error)
         write_half()
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.bin"]
+
+
+def test_a_read_only_disk_is_told_of_the_file_asked_for(tmp_path, monkeypatch):
+    def deny(self, *_args, **_named):
+        raise OSError(errno.EROFS, "Read-only file system", str(self))
+
+    monkeypatch.setattr(Path, "open", deny)
+    monkeypatch.setattr(Path, "unlink", deny)
+    with pytest.raises(OSError, match=r"/a\.bin'$"), atomic_write(tmp_path / "a.bin"):
+        pass
 
 
 def test_missing_folder_is_named(tmp_path):

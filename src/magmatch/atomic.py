@@ -6,7 +6,7 @@ import os
 import secrets
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -71,7 +71,8 @@ def atomic_write(path: str | Path) -> Iterator[BinaryIO]:
             temporary.replace(goal)
             _flush_folder(goal.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a read-only disk refuses this too
+            temporary.unlink()
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

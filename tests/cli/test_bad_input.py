@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Whatever is wrong with what was given: exit code 2, one line that names the place, nothing left behind."""
 
+import errno
 import json
 import os
 from collections.abc import Callable
@@ -239,9 +240,12 @@ def test_a_refused_registration_moves_nothing_and_an_edited_one_neither(edit, pl
     refused(["transform", good, "--by", result, "--out", out / "a.csv"], "r.json", out)
 
 
-def test_no_permission_to_write_is_refused_before_the_work(good, out, refused, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "words"), [(errno.EACCES, "m: no permission to write"), (errno.EROFS, "m: Read-only file system")]
+)
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(number, words, good, out, refused, monkeypatch):
     def deny(*_args, **_named):
-        raise PermissionError(13, "Permission denied")
+        raise OSError(number, os.strerror(number), "/out/.magmatch-x")
 
     monkeypatch.setattr("magmatch.cli.outputs.tempfile.NamedTemporaryFile", deny)
-    refused(["map", good, "--out", out / "m"], "no permission to write", out)
+    refused(["map", good, "--out", out / "m"], words, out)

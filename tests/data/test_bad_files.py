@@ -55,6 +55,7 @@ TABLE_CASES = {
     "header only": (table(), ["header row but no samples"]),
     "no header": ("\n".join(rows()), ["line 1", "header row", "found numbers"]),
     "header commented out": ("# " + HEADER + "\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
+    "a number with an underscore": (with_row(3, "1_0,0,0,2e-5,0,0"), ["line 4, column 'x'", "found '1_0'"]),
     "prose": ("Dear reader,\nthis is a letter.\n", ["expected columns", "bx", "found dear reader"]),
     "missing column": (table(*rows(), header="x,y,z,bx,by,up"), ["missing bz", "found x, y, z, bx, by, up"]),
     "unit in a name": (table(*rows(), header="x,y,z,bx [uT],by,bz"), ["missing bx", "bx [ut]"]),
@@ -128,8 +129,10 @@ FOREIGN_CASES = {
     "another zip": (zipped(**{"a.bin": "x"}), ["zip archive", "unpack"]),
     "a registration": (b'{"schema": "magmatch.registration/1"}', ["registration result", "expected a survey"]),
     "other JSON": (b'{"schema": "other/1"}', ["other/1"]),
+    "a phone's JSON": (b'[{"sensor": "Magnetometer", "x": "1"}]', ["a phone's log in JSON", "export it as CSV"]),
     "broken JSON": (b'{"schema": ', ["JSON"]),
     "endless JSON": (b"[" * 200_000, ["JSON"]),
+    "a pose graph": ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", ["g2o pose graph", "no times", "rows t x y z qx qy qz qw"]),
     "a trajectory": ("\n".join(f"{i} 0 0 0 0 0 0 1" for i in range(20)), ["TUM", "no field", "--trajectory"]),
 }
 
@@ -173,6 +176,7 @@ def test_wrong_field_unit_is_refused_with_the_flag_that_helps(name, tmp_path):
 TUM_CASES = {
     "seven columns": ("0 0 0 0 0 0 0\n" * 3, ["line 1", "expected rows of t, x, y, z", "found 7 cells"]),
     "header without qw": ("t x y z qx qy qz q\n0 0 0 0 0 0 0 1\n", ["line 1", "missing qw", "found t, x, y"]),
+    "KITTI": ("1 0 0 5 0 1 0 6 0 0 1 7\n" * 3, ["line 1", "12 numbers a row are KITTI poses", "no times", "t x y z"]),
     "text": ("0 0 0 0 0 0 0 1\n1 0 0 north 0 0 0 1\n", ["line 2", "column 'z'", "'north'"]),
     "one pose": ("0 0 0 0 0 0 0 1\n", ["at least two poses", "found 1"]),
     "time repeats": ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", ["line 2", "time repeats"]),

@@ -108,3 +108,28 @@ def test_a_quoted_cell_of_any_length_is_a_cell(rows, tmp_path):
     path.write_text(path.read_text().replace(note, "", 1).replace("\n", f"\n{note},", 1))
     with pytest.raises(DataFormatError, match="line 2"):
         read_survey(path, UT)
+
+
+@pytest.mark.parametrize("mark", [" ", ",", "\t"])
+def test_row_names_of_r_need_no_name_in_the_header(mark, rows, tmp_path, caplog):
+    names = ",".join(f'"{name}"' for name in ("t", "x", "y", "z", "bx", "by", "bz"))
+    path = write(tmp_path / "r.txt", rows, names, mark, lambda i, cells: [f'"{i + 1}"', *cells])
+    np.testing.assert_array_equal(read_survey(path, UT).times, rows[:, 0])
+    assert "without a name" not in caplog.text
+
+
+def test_what_may_be_a_last_column_without_a_name_is_no_row_name(rows, tmp_path):
+    path = write(tmp_path / "r.txt", rows, mark=" ", change=lambda i, cells: [str(i + 1), *cells])
+    with pytest.raises(DataFormatError, match=r"line 2: expected 7 cells .* row names or numbers need a name"):
+        read_survey(path, UT)
+    quoted = write(tmp_path / "quoted.csv", rows, change=lambda _, cells: [f'"{cell}"' for cell in (*cells, "")])
+    np.testing.assert_array_equal(read_survey(quoted, UT).times, rows[:, 0])
+
+
+@pytest.mark.parametrize("layout", [UT, RECOVER])
+@pytest.mark.parametrize("names", ["t,x,y,z,bx,by,bz", "T,X,Y,Z,Bx,By,Bz"])
+def test_two_tables_in_one_file_are_not_one_survey(layout, names, rows, tmp_path):
+    path = write(tmp_path / "two.csv", rows, names)
+    path.write_text(f"{path.read_text()}\n{path.read_text()}")
+    with pytest.raises(DataFormatError, match=rf"line {N + 2}: repeats the header: two tables.*; split the file"):
+        read_survey(path, layout)

@@ -66,8 +66,30 @@ def test_sensor_logger_may_write_dates(tmp_path, poses):
     np.testing.assert_allclose(survey.times, 1_700_000_000 + TIMES, rtol=0, atol=1e-6)
 
 
+def sensor_logger(stamps):
+    rows = (f"{stamp},{t},{z},{y},{x}\n" for stamp, t, (x, y, z) in zip(stamps, TIMES, FIELD, strict=True))
+    return "time,seconds_elapsed,z,y,x\n" + "".join(rows)
+
+
+@pytest.mark.parametrize("per_s", [1, 1_000, 1_000_000])
+def test_times_of_sensor_logger_may_be_saved_in_other_units(per_s, tmp_path, poses):
+    (tmp_path / "Magnetometer.csv").write_text(sensor_logger([f"{t * per_s:.3f}" for t in 1_700_000_000 + TIMES]))
+    survey = read_survey(tmp_path / "Magnetometer.csv", poses(1_700_000_000))
+    np.testing.assert_allclose(survey.times, 1_700_000_000 + TIMES, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("step", [1, 10**5], ids=["to 1 s", "to 28 h"])
+def test_times_of_sensor_logger_that_were_rounded_are_refused(step, tmp_path, poses):
+    stamps = [round(t / step) * step * 10**9 for t in 1_700_000_000 + TIMES]
+    (tmp_path / "Magnetometer.csv").write_text(sensor_logger(stamps))
+    with pytest.raises(
+        DataFormatError, match=r"column 'time': expected times as seconds_elapsed says.* a spreadsheet\?"
+    ):
+        read_survey(tmp_path / "Magnetometer.csv", poses(1_700_000_000))
+
+
 def test_a_message_shows_times_that_differ(tmp_path, poses):
-    rows = (f"{ns},{k},{z},{y},{x}\n" for k, (ns, (x, y, z)) in enumerate(zip(STAMPS, FIELD, strict=True)))
+    rows = (f"{ns},0,{z},{y},{x}\n" for ns, (x, y, z) in zip(STAMPS, FIELD, strict=True))
     (tmp_path / "Magnetometer.csv").write_text("time,seconds_elapsed,z,y,x\n" + "".join(rows))
     with pytest.raises(DataFormatError, match=r"the field covers 1700 to 1700\.0000019 s"):
         read_survey(tmp_path / "Magnetometer.csv", poses(1_700_000_000))
@@ -161,3 +183,13 @@ def test_a_name_that_states_another_unit_than_the_option_is_told(theirs, options
     read_survey(tmp_path / "walk.csv", SurveyFormat(columns=f"{ours}={theirs}", **options))
     assert words in caplog.text
     assert ("its name means" in caplog.text) == bool(words)
+
+
+def test_samples_for_a_trajectory_are_told_which_column_is_their_clock(tmp_path, poses):
+    path = tmp_path / "toolbox.csv"
+    np.savetxt(path, np.column_stack([TIMES, FIELD]), delimiter=",", header="time,Bx,By,Bz", comments="")
+    with pytest.raises(DataFormatError, match=r"need times on its clock: --columns t=time$"):
+        read_survey(path, poses(0))
+    layout = SurveyFormat(trajectory=poses(0).trajectory, columns="t=time", field_unit="uT")
+    survey = read_survey(path, layout)
+    np.testing.assert_allclose(survey.times, TIMES)

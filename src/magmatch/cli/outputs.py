@@ -74,3 +74,5 @@ def _try_to_write(folder: Path, path: Path) -> None:
             pass
     except PermissionError:
         raise DataFormatError(path, f"no permission to write in the folder {folder}") from None
+    except OSError as error:  # which names the file that was tried
+        raise OSError(error.errno, error.strerror, str(path)) from None

@@ -72,3 +72,11 @@ def test_a_phone_log_alone_says_where_positions_come_from(tmp_path):
     tables = {"Magnetometer": sensor_logger(), "TotalAcceleration": sensor_logger(), "Gyroscope": sensor_logger()}
     with pytest.raises(DataFormatError, match=r"'magmatch odometry' makes one"):
         read_survey(zipped(tmp_path / "all.zip", **tables))
+
+
+@pytest.mark.parametrize("tables", [("a__Magnetometer", "b__Magnetometer"), ("Magnetometer", "a__b__Gyroscope")])
+def test_tables_in_several_folders_of_an_archive_are_refused(tables, tmp_path, poses):
+    path = zipped(tmp_path / "bulk.zip", **dict.fromkeys(tables, sensor_logger()))
+    folders = {"a__Magnetometer": r"a, b", "Magnetometer": r"\(top\), a/b"}[tables[0]]
+    with pytest.raises(DataFormatError, match=rf"in 2 folders \({folders}\): several logs\? Unpack it"):
+        read_survey(path, poses(1.7e9))

@@ -23,6 +23,7 @@ from magmatch.data.survey_columns import (
     position_columns,
     warn_of_unused_times,
 )
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
@@ -100,8 +101,9 @@ def recording_of_table(
     """Join field samples with the poses of a trajectory file."""
     hint = advise(table.names)
     if not table.has("t"):
+        theirs = next((f": --columns t={name}" for name in table.names if header_of([name]).names == ("t",)), "")
         hint = "With a trajectory the samples need times on its clock" + (
-            "" if table.has(*FIELD_COLUMNS) else f". {hint}"
+            theirs if table.has(*FIELD_COLUMNS) else f". {hint}"
         )
     table.require(["t", *FIELD_COLUMNS], hint)
     table.require_increasing("t")

@@ -44,6 +44,11 @@ _FOREIGN: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"version https://git-lfs", "Git LFS pointer", "fetch the content it points to (git lfs pull)"),
     ((b"<!DOCTYPE", b"<!doctype", b"<html"), "web page", "download the raw file instead"),
     (b"<table", "web page", "export it as CSV"),
+    (
+        (b"VERTEX_SE", b"EDGE_SE"),
+        "g2o pose graph",
+        "its poses have no times: give a trajectory of rows t x y z qx qy qz qw",
+    ),
     (b"<?xml", "XML document", "export it as CSV"),
 )
 # A ROS 2 bag may also be a folder of such files.
@@ -169,7 +174,7 @@ def _sniff_archive(path: str | Path) -> FileKind:
     """A zip archive is a phone's export, or nothing we read."""
     with damage_told(path, "zip archive"), zipfile.ZipFile(at_rest(path)) as archive:
         members = archive.namelist()
-        has_tables = bool(phone_tables_of(archive))
+        has_tables = bool(phone_tables_of(Path(path), archive))
     if "[Content_Types].xml" in members or any(name.lower().endswith((".xls", ".xlsx")) for name in members):
         raise DataFormatError(path, f"is an Excel workbook or Office document, or holds one; {_NO_WORKBOOKS}")
     if has_tables:
@@ -187,9 +192,12 @@ def _sniff_archive(path: str | Path) -> FileKind:
 def _sniff_json(path: str | Path) -> FileKind:
     """JSON is a registration result, or nothing we read."""
     try:
-        schema = mapping_in(json.loads(read_bytes(path).decode("utf-8-sig"))).get("schema")
+        content = json.loads(read_bytes(path).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise DataFormatError(path, f"begins like JSON but is not: {error}") from None
+    if isinstance(content, list) and any("sensor" in mapping_in(row) for row in content[:1]):
+        raise DataFormatError(path, "is a phone's log in JSON, as Sensor Logger writes it; export it as CSV")
+    schema = mapping_in(content).get("schema")
     if str(schema).startswith(_REGISTRATION_SCHEMA):
         return "registration"
     found = f"with schema {schema!r}" if schema else "without a schema"

@@ -56,7 +56,15 @@ def number_of_text(cell: str, decimal: Decimal = "point") -> float:
     >>> number_of_text("1,234.5"), number_of_text("1.234,5", "comma"), number_of_text("\u22121'234")
     (1234.5, 1234.5, -1234.0)
     """
-    return float(python_text(cell, decimal))
+    return float_of_text(python_text(cell, decimal))
+
+
+def float_of_text(text: str) -> float:
+    """A number as files hold it; `ValueError` also for ``1_0``, which only Python takes for 10."""
+    if "_" in text:
+        msg = "an underscore in a number"
+        raise ValueError(msg)
+    return float(text)
 
 
 def is_number(cell: str) -> bool:
@@ -123,7 +131,7 @@ def decimal_of_cells(
 
 def _is_float(text: str) -> bool:
     try:
-        float(text)
+        float_of_text(text)
     except ValueError:
         return False
     return True

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.tables.number_marks import Decimal, is_number, number_of_text
+from magmatch.data.tables.number_marks import Decimal, float_of_text, is_number, number_of_text
 from magmatch.data.tables.text_rows import listed
 from magmatch.data.tables.times import seconds_of_date, seconds_of_text
 from magmatch.errors import DataFormatError
@@ -53,6 +53,7 @@ class NumberReader:
                 self._require_width(line, cells)
                 numbers.extend(self._values(line, cells))
             except DataFormatError as error:
+                self._refuse_header(line, cells)
                 self._leave_out(error)
                 continue
             lines.append(line)
@@ -70,6 +71,12 @@ class NumberReader:
             read_as = "read as marks of thousands, not of decimals" if is_point else "read as points"
             logger.warning("%s: %scommas were %s", self.path, "" if is_point else "decimal ", read_as)
         return np.array(numbers).reshape(-1, len(self.places)), np.array(lines, dtype=np.int64), words
+
+    def _refuse_header(self, line: int, cells: Sequence[str]) -> None:
+        """Refuse a row that repeats the header, also where recovering: another table begins there."""
+        if [cell.strip().strip("'\"").lower() for cell in cells] == list(self.names):
+            message = "repeats the header: two tables, one after the other; split the file before this line"
+            raise DataFormatError(self.path, message, line=line)
 
     def _leave_out(self, error: DataFormatError) -> None:
         """Count a faulty row where recovering; refuse it elsewhere."""
@@ -93,6 +100,8 @@ class NumberReader:
         if self.delimiter == "," and len(cells) > width and all(map(is_number, cells)):
             advice = "numbers that hold commas need quotes, or semicolons between the cells; row numbers need a name"
             raise ForeignNumberError(self.path, f"{message}; {advice}", line=line)
+        if len(cells) == width + 1:
+            message += "; row names or numbers need a name in the header too"
         raise DataFormatError(self.path, message, line=line)
 
     def _values(self, line: int, cells: Sequence[str]) -> list[float]:
@@ -101,7 +110,7 @@ class NumberReader:
         if self.decimal == "comma":
             texts = ["" if "." in text else text.replace(",", ".") for text in texts]
         try:
-            values = [float(text) for text in texts]
+            values = [float_of_text(text) for text in texts]
         except ValueError:
             values = [np.nan]
         if not isfinite(sum(values)):

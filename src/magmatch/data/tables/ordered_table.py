@@ -4,8 +4,10 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from magmatch.data.tables.header_names import Header, header_of, words_of
-from magmatch.data.tables.number_marks import is_number
+from magmatch.data.tables.number_marks import is_number, number_of_text
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import listed, rows_of
@@ -56,12 +58,23 @@ def read_ordered(
         if len(cells) < len(order):
             found = f"expected rows of {', '.join(order)}; found {len(cells)} cells"
             raise DataFormatError(path, found, line=line)
+        if header is None and _is_matrix(cells):
+            message = f"12 numbers a row are KITTI poses, which have no times: write rows of {' '.join(order)}"
+            raise DataFormatError(path, f"{message}, with the times of their own file (times.txt)", line=line)
         names = header.names if header and header.names_all(order) else tuple(order)
         rest = tuple(f"column {k + 1}" for k in range(len(names), len(cells)))
         wanted = Wanted(order, (*names, *rest), digits={"t": DIGITS_OF_SECOND[unit]}, recover=recover)
         table = read_table(path, wanted, lines)
     table.require_increasing("t")
     return table, unit
+
+
+def _is_matrix(cells: Sequence[str]) -> bool:
+    """Whether a row is a rotation matrix with a translation behind each of its rows: (3, 4)."""
+    if len(cells) != 12 or not all(map(is_number, cells)):
+        return False
+    R = np.array([number_of_text(cell) for cell in cells]).reshape(3, 4)[:, :3]
+    return np.allclose(R @ R.T, np.eye(3), atol=1e-3)
 
 
 def _header_row(path: str | Path, cells: Sequence[str], line: int, order: Sequence[str], lone: str) -> Header:

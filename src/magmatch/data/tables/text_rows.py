@@ -16,6 +16,9 @@ from magmatch.errors import DataFormatError
 # What spreadsheets write where a formula has no value (English and German): no comment.
 _SHEET_ERROR = re.compile(r"#(?:N/A|NV|(?:DIV/0|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NULL)!|NAME\?)\s*[,;\t]")
 
+# What row names are called, for which a header has no name; and how a row with one begins.
+ROW_NAMES, _ROW_NAME = "row names", re.compile(r'\s*"[^"]*"[\s,;]\s*[^"\s]')
+
 
 def is_row(line: str) -> bool:
     """Whether a line is none that is blank or a comment; delimiters alone are what spreadsheets write for a blank."""
@@ -55,8 +58,17 @@ class Rows:
         return ((i + 1, split_row(self.lines[i], self.delimiter)) for i in self.at)
 
     def header(self) -> list[str]:
-        """Names in the first row; none for cells without words at its end."""
-        return split_header(self.lines[self.at[0]], self.delimiter)
+        """Names in the first row; none for cells without words at its end, one for the row names of R."""
+        names = split_header(self.lines[self.at[0]], self.delimiter)
+        return [ROW_NAMES, *names] if self._has_row_names(len(names)) else names
+
+    def _has_row_names(self, n: int) -> bool:
+        """Whether each row below the header begins with one cell more, alone in quotes, as R's write.table does."""
+        below = (self.lines[i].rstrip(" ,;\t") for i in self.at[1:])
+        is_whole = len(self.at) > 1 and len(split_row(self.lines[self.at[0]], self.delimiter)) == n
+        return is_whole and all(
+            _ROW_NAME.match(line) and len(split_row(line, self.delimiter)) == n + 1 for line in below
+        )
 
 
 def rows_of(path: str | Path, lines: Sequence[str]) -> Rows:

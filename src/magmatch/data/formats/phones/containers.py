@@ -10,7 +10,7 @@ from pathlib import Path
 from magmatch.data.formats.phones.tables import MEMBERS, says_its_sensor, stem_of
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import damage_told, is_folder, read_bytes
-from magmatch.errors import DataFormatError
+from magmatch.errors import DataFormatError, in_short
 
 # Tables with other names are looked into: so many bytes of so many.
 MAX_HEADER, MAX_LOOKED_INTO = 4096, 64
@@ -29,7 +29,7 @@ def opened_tables(path: str | Path) -> Iterator[dict[Path, Callable[[], bytes]]]
     else:
         with zipfile.ZipFile(at_rest(path)) as archive:
             refuse_strays(place, archive.namelist())
-            found = phone_tables_of(archive)
+            found = phone_tables_of(place, archive)
             yield {place / name: partial(_read_member, place, archive, name) for name in found}
 
 
@@ -44,10 +44,19 @@ def member(path: Path, name: str) -> bytes | None:
         return _read_member(path, archive, found[0]) if found else None
 
 
-def phone_tables_of(archive: zipfile.ZipFile) -> list[str]:
-    """Names of the tables of a phone's sensors in an archive; none that is packed once more, which no app does."""
+def phone_tables_of(path: Path, archive: zipfile.ZipFile) -> list[str]:
+    """Names of the tables of a phone's sensors in an archive; none that is packed once more, which no app does.
+
+    Apps write a log into one folder: tables in several are several logs, and refused.
+    """
     plain = [name for name in archive.namelist() if not name.lower().endswith(".gz")]
-    return phone_tables(plain, lambda name: _read_member(Path(archive.filename or ""), archive, name, MAX_HEADER))
+    found = phone_tables(plain, lambda name: _read_member(path, archive, name, MAX_HEADER))
+    folders = sorted({name.replace("\\", "/").rpartition("/")[0] for name in found})
+    if len(folders) > 1:
+        listed = ", ".join(folder or "(top)" for folder in in_short(folders))
+        message = f"holds a phone's tables in {len(folders)} folders ({listed}): several logs? Unpack it"
+        raise DataFormatError(path, f"{message} and give one folder, with all tables of one log in it")
+    return found
 
 
 def phone_tables(names: Iterable[str], head_of: Callable[[str], bytes]) -> list[str]:

@@ -4,6 +4,7 @@
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,7 @@ _UNITS: Mapping[str, Sensor] = {
 _TIMES: Mapping[str, tuple[str, TimeUnit]] = {
     "phyphox": ("time (s)", "s"), "AndroSensor": ("time since start in ms", "ms"),
 }  # fmt: skip
+_ELAPSED = "seconds_elapsed"  # of Sensor Logger
 _ANDROID_TIME = "event.timestamp"
 _ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
 _ANDROID_VALUE = re.compile(r"(?:event\.)?values?[\[_.]?([0-2])\]?|(?:event\.)?([xyz])")
@@ -102,23 +104,25 @@ def read_table_streams(
 
 def _read(place: Path, lines: list[str], columns: Columns, axes: tuple[str, ...], *, recover: bool) -> Table:
     """Read times, in s, and axes of a table."""
+    names = [columns.time, *axes, *([_ELAPSED] if columns.app == "Sensor Logger" else [])]
 
     def read(digits: int) -> Table:
-        names = [columns.time, *axes]
         table = read_table(place, Wanted(names, digits={columns.time: digits}, recover=recover), lines)
         table.require(names)
         return table
 
-    if columns.app != "Android":
-        return read(_digits_of_times(columns.app, np.zeros(0)))
-    table = read(0)  # their unit is told by all of them
-    digits = _digits_of_times(columns.app, table.columns[columns.time])
-    return read(digits) if digits else table
+    if columns.app in _TIMES:
+        return read(DIGITS_OF_SECOND[_TIMES[columns.app][1]])
+    assumed = 9 if columns.app == "Sensor Logger" else 0
+    table = read(assumed)  # their unit is told by all of them
+    times = table.columns[columns.time]
+    digits = _digits_beside(place, times, table.columns[_ELAPSED]) if assumed else _digits_of_times(times)
+    return table if digits == assumed else read(digits)
 
 
 def columns_of(names: list[str], stem: str) -> Columns | None:
     """Tell the columns of a table by their names (lower case) and the table's; None if it is no phone's."""
-    if "seconds_elapsed" in names and "time" in names:
+    if _ELAPSED in names and "time" in names:
         of_table: Sensor = MEMBERS.get(stem) or (
             "linear_acceleration" if stem == "accelerometer" else sensor_named(stem) or "field"
         )
@@ -172,14 +176,33 @@ def _variant(sensor: Sensor, words: str) -> Sensor:
     return "linear_acceleration" if sensor == "acceleration" and "linear" in words else sensor
 
 
-def _digits_of_times(app: str, times: Scalars) -> int:
-    """Times are in 10**-digits s; Android's are told by how far apart they are, sensors reading at 1 to 1000 Hz."""
-    if app == "Sensor Logger":
-        return 9
-    if app in _TIMES or len(times) < 2:
-        return DIGITS_OF_SECOND[_TIMES.get(app, ("", "s"))[1]]
-    interval = float(np.median(np.abs(np.diff(times))))
+def _digits_of_times(times: Scalars) -> int:
+    """Android's times are in 10**-digits s, told by how far apart they are: sensors read at 1 to 1000 Hz."""
+    interval = float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else 0.0
     return next((digits for digits in (9, 6, 3) if interval >= 10.0**digits / 1e3), 0)
+
+
+def _digits_beside(place: Path, times: Scalars, elapsed: Scalars) -> int:
+    """Sensor Logger's times, read as ns, are in 10**-digits s: ns, unless the seconds beside them say otherwise.
+
+    Other programs save them in other units, and round them.
+    """
+    steps, is_forward = np.diff(times), np.diff(elapsed) > 0  # not where a second log begins
+    span, expected = float(steps[is_forward].sum()), float(np.diff(elapsed)[is_forward].sum())
+    if expected == 0:
+        return 9
+    fits = (digits for digits in (9, 6, 3, 0) if isclose(span * 10.0 ** (9 - digits), expected, rel_tol=0.01))
+    digits = next(fits, None)
+    if digits is None and steps.min() < 0:
+        return 9  # a clock that was set, which is named with its line
+    n_times, n_elapsed = len(np.unique(times)), len(np.unique(elapsed))
+    if digits is None or 2 * n_times < n_elapsed:
+        message = (
+            f"expected times as {_ELAPSED} says, {n_elapsed} in {expected:.4g} s; found {n_times} in {span:.4g} s "
+            "(if in ns): rounded, by a spreadsheet? Use the file as the app exported it"
+        )
+        raise DataFormatError(place, message, column="time")
+    return digits
 
 
 def _tagged(
@@ -201,7 +224,7 @@ def _tagged(
 
     found = read(0)
     longest = max((block[:, 0] for block, _ in found.values()), key=len, default=np.zeros(0))
-    if digits := _digits_of_times(columns.app, longest):
+    if digits := _digits_of_times(longest):
         found = read(digits)
     streams = {}
     for sensor in (sensor for sensor in wanted if sensor in found):
