@@ -70,7 +70,9 @@ MISTAKES = {
     "sensor": ("field frame", "those of a sensor that turns", "use --field-frame sensor (in Python field_frame)"),
     "survey": ("field frame", "turned once too often", "use --field-frame survey (in Python field_frame)"),
     "inverse": ("orientations", "turned the wrong way", "orientations take sensor to survey axes: invert them"),
-    "scalar first": ("orientations", "turned by other quaternions", "the scalar comes last: rename qx, qy, qz, qw"),
+    "scalar first": ("orientations", "turned by other quaternions",
+                     "the scalar comes last: rename qx, qy, qz, qw, or put '# t x y z qw qx qy qz' above poses "
+                     "without names"),
     "scalar last": ("orientations", "turned by other quaternions",
                     "the scalar came last in them: rename qx, qy, qz, qw"),
     "heading": ("heading", "turned by a heading that is not the walked one",
