@@ -14,7 +14,7 @@ from magmatch.data.checks import check_survey, require_one_frame
 from magmatch.data.describe import describe
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.missing_readings import without_missing
-from magmatch.data.read import read_survey
+from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.data.survey import Survey
 from magmatch.data.units import TESLA_PER_UNIT, likely_field_unit
 from magmatch.errors import SurveyError
@@ -85,10 +85,20 @@ SAID = {
     "too fast": (lambda s: replace(s, times=s.times / 100), "moves at .* m/s: wrong length unit"),
     "days": (lambda s: replace(s, times=s.times / 86400), "moves at .* m/s: are its times in days"),
     "two sensors": (
-        lambda s: replace(s, orientations=None, field=s.field + 1e-5 * (np.arange(len(s))[:, None] % 2)),
+        lambda s: replace(s, positions=spiral(len(s)), orientations=None, field=s.field + 1e-5 * odd(len(s))),
         "goes to and fro by 17.* uT from sample to sample: two sensors",
     ),
 }
+
+
+def odd(n):
+    """1 for every second sample."""
+    return (np.arange(n) % 2)[:, None]
+
+
+def spiral(n):
+    angle = np.arange(n) / 5
+    return np.column_stack([np.cos(angle), np.sin(angle), angle / 10])
 
 
 def share(survey, factor, n=9):
@@ -114,12 +124,14 @@ def test_a_unit_of_times_that_is_stated_is_doubted_too(room):
     (said,) = check_survey(as_milliseconds, SurveyFormat(time_unit="ms"))
     assert "are they in us? (--time-unit us)" in said
     assert check_survey(room, SurveyFormat(time_unit="us")) == []
+    since_boot = replace(room, times=2e3 + room.times)
+    assert check_survey(since_boot, SurveyFormat(time_unit="ns")) == []
 
 
 def test_a_survey_without_a_stated_frame_beside_one_about_an_origin_is_said(room, caplog):
     about = "east, north, up of 48.1,11.6"
     require_one_frame([room, replace(room, frame=about)])
-    assert f"room: no frame is stated, beside metres {about}" in caplog.text
+    assert "room: taken to be in metres about 48.1,11.6, as another survey states" in caplog.text
     caplog.clear()
     require_one_frame([room, room])
     assert not caplog.text
@@ -146,9 +158,42 @@ def test_marks_of_missing_readings_are_left_out_and_told(room, tmp_path, caplog,
     assert f"left out 4 of 50 samples that read {words}: marks of a missing reading" in caplog.text
 
 
-def test_readings_beside_a_magnet_are_kept(room):
-    strong = replace(room, field=room.field * np.where(np.arange(len(room)) % 9, 1.0, 30.0)[:, None])
-    assert without_missing(strong) is strong
+@pytest.mark.parametrize("digit", [1e-9, 1e-6, 1e-5])
+def test_readings_beside_a_magnet_are_kept_however_coarse_and_held(digit):
+    away = np.abs(np.arange(400) - 200)[:, None]
+    field = [2e-5, 0.0, -4.5e-5] + 4e-3 / (1 + (away / 9) ** 3) * [0.3, -0.5, 0.8]
+    walk = Survey(
+        np.arange(400)[:, None] * [0.02, 0.0, 0.0], np.repeat(np.round(field[::2] / digit) * digit, 2, axis=0)
+    )
+    assert len(walk) - len(without_missing(walk)) <= 4
+
+
+def test_channels_follow_the_samples_that_marks_leave(room, tmp_path):
+    path = tmp_path / "marked.csv"
+    replace(room, times=None, orientations=None).save(path)
+    rows = path.read_text().splitlines()
+    rows = [f"{row},{k if k else 'current'}" for k, row in enumerate(rows)]
+    cells = rows[5].split(",")
+    rows[5] = ",".join([*cells[:3], "0", "0", "0", *cells[6:]])
+    path.write_text("\n".join(rows))
+    survey, channels = read_survey_and_channels(path)
+    assert len(survey) == 49
+    np.testing.assert_array_equal(channels["current"], np.delete(np.arange(1, 51), 4))
+
+
+def test_half_of_a_log_may_be_filled_with_zeros(room):
+    filled = replace(room, field=room.field * (np.arange(len(room)) % 2)[:, None])
+    assert len(without_missing(filled)) == 25
+    dead = replace(room, field=0 * room.field)
+    assert without_missing(dead) is dead
+
+
+def test_samples_listed_to_and_fro_are_not_two_sensors(room):
+    column = np.tile([0.0, 0.5], 25)
+    station = np.repeat(np.arange(25), 2)
+    points = np.column_stack([0.3 * station, np.sin(station), column])
+    listed = replace(room, positions=points, orientations=None, field=room.field + 1e-5 * column[:, None])
+    assert not [said for said in check_survey(listed) if "to and fro" in said]
 
 
 def test_a_jump_of_the_odometry_is_said_and_a_gap_is_none():

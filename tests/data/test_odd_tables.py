@@ -127,9 +127,29 @@ def test_what_may_be_a_last_column_without_a_name_is_no_row_name(rows, tmp_path)
 
 
 @pytest.mark.parametrize("layout", [UT, RECOVER])
-@pytest.mark.parametrize("names", ["t,x,y,z,bx,by,bz", "T,X,Y,Z,Bx,By,Bz"])
+@pytest.mark.parametrize("names", ["t,x,y,z,bx,by,bz", "X,Y,Z,Bx,By,Bz"])
 def test_two_tables_in_one_file_are_not_one_survey(layout, names, rows, tmp_path):
-    path = write(tmp_path / "two.csv", rows, names)
+    path = write(tmp_path / "two.csv", rows[:, -len(names.split(",")) :], names)
     path.write_text(f"{path.read_text()}\n{path.read_text()}")
-    with pytest.raises(DataFormatError, match=rf"line {N + 2}: repeats the header: two tables.*; split the file"):
+    said = "repeats the header: two tables.*; split the file"
+    if layout is RECOVER and names.startswith("t"):
+        said = ".*time runs backward"  # a header amid one recording, whose times go on, is left out
+    with pytest.raises(DataFormatError, match=rf"line \d+[^:]*: {said}"):
         read_survey(path, layout)
+
+
+def test_a_header_printed_anew_amid_a_recording_is_left_out(rows, tmp_path):
+    path = write(tmp_path / "again.csv", rows)
+    header, *below = path.read_text().splitlines()
+    path.write_text("\n".join([header, *below[:20], header, *below[20:]]))
+    with pytest.raises(DataFormatError, match=r"repeats the header.*--recover leaves such rows out of one recording"):
+        read_survey(path, UT)
+    np.testing.assert_array_equal(read_survey(path, RECOVER).times, rows[:, 0])
+
+
+def test_a_quoted_date_before_a_last_column_without_a_name_is_no_row_name(rows, tmp_path):
+    path = write(
+        tmp_path / "d.csv", rows, change=lambda i, cells: [f'"2026-05-01T10:00:{i % 60:02d}"', *cells[1:], "7"]
+    )
+    with pytest.raises(DataFormatError, match="line 2: expected 7 cells"):
+        read_survey(path, UT)

@@ -17,7 +17,7 @@ from magmatch.data.survey_columns import GLOBAL_FRAME, origin_of
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError, in_short
 from magmatch.number_text import many, told
-from magmatch.typing import Indices, Scalars, Vectors
+from magmatch.typing import Indices, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -36,8 +36,10 @@ FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than 
 DAY, FASTEST = 86_400.0, 1e-4  # s; no survey magnetometer samples so fast
 # Share of a number by which seconds that were made of it, and back, may differ.
 ROUNDING_OF_TIMES = 1e-12
+RAREST = 100.0  # s; samples are no farther apart
 SLOW = (2.0, 0.005)  # s between samples and m/s: nobody walks like that, and few stop as long
 TO_AND_FRO = 4.0  # of noise it is 1, along a path less
+ONWARD = 1.5  # steps along a path; of samples listed to and fro, as height by height, two steps are none
 GAP = (1.0, 10.0)  # s, and multiples of the median interval: an interval above both is a gap
 
 
@@ -107,8 +109,8 @@ def require_one_frame(surveys: Sequence[Survey]) -> None:
         raise SurveyError(msg)
     others = [s.name for s in surveys if s.frame not in frames]
     if frames and others:
-        words = "%s: no frame is stated, beside metres %s; all are taken to be in that one"
-        log.warning(words, ", ".join(in_short(others)), frames[0])
+        words = "%s: taken to be in metres about %s, as another survey states; its own frame is no such one"
+        log.warning(words, ", ".join(in_short(others)), frames[0].removeprefix(GLOBAL_FRAME))
 
 
 def too_large(size: float) -> str:
@@ -180,9 +182,10 @@ def _require_possible_extent(survey: Survey, layout: SurveyFormat | None) -> Non
             advice = f"read as {layout.length_unit}; if the file is in mm or cm, use --length-unit mm (or cm)"
         message = f"the positions span {size / 1e3:.4g} km, expected less than {MAX_EXTENT / 1e3:g} km; {advice}"
         raise _refuse(survey, message)
-    nearest = float(np.linalg.norm(survey.positions, axis=1).min())
-    if nearest > MAX_EXTENT and (origin := origin_of(survey.frame)) is not None:
-        message = f"the nearest sample lies {nearest / 1e3:.4g} km from the origin {origin}, where up is another way"
+    origin = origin_of(survey.frame)
+    nearest = 0.0 if origin is None else float(np.linalg.norm(survey.positions, axis=1).min())
+    if nearest > MAX_EXTENT:
+        message = f"the nearest sample lies {nearest / 1e3:.4g} km from the origin {origin}, too far for one horizon"
         raise _refuse(survey, f"{message}; latitude and longitude swapped (--origin)?")
     if size == 0:
         raise _refuse(survey, "all samples lie at one point, expected a surveyed region")
@@ -269,16 +272,23 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
     n_stuck = int((find_repeats(survey.field) | find_repeats(sensor_readings(survey))).sum())
     if 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
-    yield from _doubt_turns(sensor_readings(survey))
+    yield from _doubt_turns(survey.positions, sensor_readings(survey))
 
 
-def _doubt_turns(readings: Vectors) -> Iterator[str]:
-    """Whether readings go to and fro: of one sensor, the next reading is about as near as the one after it."""
+def _doubt_turns(positions: Points, readings: Vectors) -> Iterator[str]:
+    """Whether readings go to and fro where positions do not: of one sensor, the one after next is no nearer."""
     if len(readings) < FEW:
         return
-    next_one, after = (float(np.median(np.linalg.norm(readings[k:] - readings[:-k], axis=1))) for k in (1, 2))
-    if next_one > TO_AND_FRO * max(after, RESOLVED):
+    next_one, after = _typical_steps(readings)
+    step, two_steps = _typical_steps(positions)
+    if next_one > TO_AND_FRO * max(after, RESOLVED) and two_steps >= ONWARD * step:
         yield f"the field goes to and fro by {field_text(next_one)} from sample to sample: two sensors in one log?"
+
+
+def _typical_steps(vectors: Vectors) -> tuple[float, float]:
+    """Median distance of neighbours, and of those that one other lies between."""
+    one, two = (float(np.median(np.linalg.norm(vectors[k:] - vectors[:-k], axis=1))) for k in (1, 2))
+    return one, two
 
 
 def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
@@ -301,12 +311,13 @@ def _likely_time_unit(survey: Survey, read_as: TimeUnit) -> TimeUnit | None:
     if not (np.abs(numbers - np.round(numbers)) <= ROUNDING_OF_TIMES * np.abs(numbers)).all():
         return None
     finer: tuple[TimeUnit, ...] = ("ms", "us", "ns")
+    interval = float(np.median(np.diff(numbers)))
     for unit in finer:
-        if SINCE_1970[0] < numbers[0] / UNITS_PER_SECOND[unit] < SINCE_1970[1]:
+        per_second = UNITS_PER_SECOND[unit]
+        if SINCE_1970[0] < numbers[0] / per_second < SINCE_1970[1] and interval < RAREST * per_second:
             return unit
     step = float(np.median(np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)))
-    interval = float(np.median(np.diff(survey.times)))
-    if not (interval > SLOW[0] and step < SLOW[1] * interval):
+    seconds = interval / UNITS_PER_SECOND[read_as]
+    if not (seconds > SLOW[0] and step < SLOW[1] * seconds):
         return None
-    interval *= UNITS_PER_SECOND[read_as]
     return next((unit for unit in finer if interval <= SLOW[0] * UNITS_PER_SECOND[unit]), None)

@@ -8,23 +8,32 @@ import numpy as np
 from magmatch.data.sensor_axes import Levels, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
-from magmatch.typing import Mask, Scalars
+from magmatch.errors import in_short
+from magmatch.typing import Indices, Mask
 
 log = logging.getLogger(__name__)
 
-# A value that comes back exactly, and is so many times the median field: a magnet's field varies from place to place.
-OUT_OF_RANGE, FEWEST = 10.0, 2
+# A value that comes back exactly, and is so many times the median field. Coarse or held readings beside a magnet come
+# back too, but at many values; a mark is one, or one at each end of a range.
+OUT_OF_RANGE, FEWEST, MOST_MARKS = 10.0, 2, 2
 
 
 def without_missing(survey: Survey) -> Survey:
-    """Leave out samples whose reading is a mark, with a warning; where most are, none: the columns are wrong then."""
+    """Leave out samples whose reading is a mark, with a warning."""
+    is_mark = missing(survey)
+    return survey.subset(~is_mark) if is_mark.any() else survey
+
+
+def missing(survey: Survey) -> Mask:
+    """Samples whose reading is a mark, (n,), with a warning; none where all are: the columns are wrong then."""
     is_mark, values = find_marks(survey)
-    if not 0 < is_mark.sum() < len(survey) / 2:
-        return survey
-    told = " or ".join(dict.fromkeys(field_text(value) if value else "0, 0, 0" for value in values))
-    words = "%s: left out %d of %d samples that read %s: marks of a missing reading, or one out of range"
-    log.warning(words, survey.name, is_mark.sum(), len(survey), told)
-    return survey.subset(~is_mark)
+    if is_mark.all():
+        return np.zeros(len(survey), dtype=bool)
+    if is_mark.any():
+        told = " or ".join(in_short([*dict.fromkeys(field_text(value) if value else "0, 0, 0" for value in values)]))
+        words = "%s: left out %d of %d samples that read %s: marks of a missing reading, or one out of range"
+        log.warning(words, survey.name, is_mark.sum(), len(survey), told)
+    return is_mark
 
 
 def find_marks(survey: Survey) -> tuple[Mask, list[float]]:
@@ -33,16 +42,19 @@ def find_marks(survey: Survey) -> tuple[Mask, list[float]]:
     Marks are in the sensor's axes, or in those of the survey where a program turned the readings.
     """
     sizes = np.linalg.norm(survey.field, axis=1)
-    is_mark, values = sizes == 0, [0.0] if (sizes == 0).any() else []
-    if len(survey) == 0 or (most := OUT_OF_RANGE * float(np.median(sizes))) == 0:
+    is_mark = sizes == 0
+    values = [0.0] if is_mark.any() else []
+    if is_mark.all():
         return is_mark, values
+    most = OUT_OF_RANGE * float(np.median(sizes[~is_mark]))
     for levels in (*Levels.of(sensor_readings(survey)), *Levels.of(survey.field)):
         odd = np.flatnonzero((np.abs(levels.values) > most) & (_times_read(levels) >= FEWEST))
-        is_mark |= np.isin(levels.number, odd)
-        values += levels.values[odd].tolist()
+        if len(odd) <= MOST_MARKS:
+            is_mark |= np.isin(levels.number, odd)
+            values += levels.values[odd].tolist()
     return is_mark, values
 
 
-def _times_read(levels: Levels) -> Scalars:
+def _times_read(levels: Levels) -> Indices:
     """Count how often each value was read; what is held counts, too."""
     return np.bincount(levels.number, minlength=len(levels.values))

@@ -21,7 +21,7 @@ from magmatch.data.formats.phones.read import read_phone_log, read_phone_recordi
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
-from magmatch.data.missing_readings import without_missing
+from magmatch.data.missing_readings import missing, without_missing
 from magmatch.data.survey import Survey
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.trajectory import Trajectory
@@ -83,33 +83,37 @@ def read_survey_and_channels(
     """Read and check a survey, and its log's other numbers (currents, efforts) at the samples, in their own units."""
     layout = format or SurveyFormat()
     if sniff(path) != "log":
-        survey = read_survey(path, layout)
-        return survey, channels_at(read_channels(path, layout), survey.times, len(survey))
+        # Some channels go with the samples row by row.
+        whole, used = _read(path, layout)
+        is_kept, channels = ~missing(whole), channels_at(read_channels(path, layout), whole.times, len(whole))
+        survey = whole if is_kept.all() else whole.subset(is_kept)
+        return _checked(path, survey, used), {name: values[is_kept] for name, values in channels.items()}
     recording = read_log(path, layout, with_channels=True)
     survey, used = _joined(recording, layout)
-    survey = _checked(path, replace(survey, name=Path(path).name), used)
-    return survey, channels_at(recording.channels, survey.times, len(survey))
+    survey = without_missing(replace(survey, name=Path(path).name))
+    return _checked(path, survey, used), channels_at(recording.channels, survey.times, len(survey))
 
 
 def survey_of_phone(log: PhoneLog, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
     """Check the survey of a phone's log with poses that were worked out from it, in metres."""
     survey, used = _read_phone(log.path, layout, trajectory=trajectory, log=log)
-    return _checked(log.path, replace(survey, name=log.path.name), used)
+    return _checked(log.path, without_missing(replace(survey, name=log.path.name)), used)
 
 
 def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | None:
     """Read what a phone's magnetometer says without the phone's own calibration; None unless a log holds both."""
-    if sniff(path) != "phone" or layout.columns:
+    if kind_of(path, layout) != "phone":
         return None
     if len(read_phone_log(path, ("field", "raw_field"), recover=layout.recover).streams) < 2:
         return None
     survey, used = _read_phone(path, layout, "raw_field")
+    survey = without_missing(replace(survey, name=Path(path).name))
     try:
         check_survey(replace(survey, name=str(path)), used)
     except SurveyError as error:
         logger.warning("%s; its readings without the phone's own calibration are left aside", error)
         return None
-    return replace(survey, name=Path(path).name)
+    return survey
 
 
 def read_poses(path: str | Path, layout: SurveyFormat) -> Trajectory | None:
@@ -123,8 +127,7 @@ def read_poses(path: str | Path, layout: SurveyFormat) -> Trajectory | None:
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
-    """The survey without readings that are missing; doubts are logged."""
-    survey = without_missing(survey)
+    """The survey itself; doubts are logged."""
     for warning in check_survey(replace(survey, name=str(path)), layout):
         logger.warning("%s: %s", path, warning)
     return survey
@@ -132,13 +135,19 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 
 def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
+    survey, used = _read(path, layout)
+    return without_missing(survey), used
+
+
+def _read(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
+    """A survey with all readings, those that are missing too."""
     kind = kind_of(path, layout)
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
     if layout.rate is not None and kind in {"log", "phone", "euroc"}:
         raise DataFormatError(path, "holds times of its own: leave out --rate")
     survey, used = READERS[kind](path, layout)
-    return without_missing(replace(survey, name=Path(path).name)), used
+    return replace(survey, name=Path(path).name), used
 
 
 def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:

@@ -99,7 +99,7 @@ def _whole(part: Entries, faults: list[Fault]) -> Entries:
 def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream]:
     """Streams to be joined, with the times to use in ``stamp_ns``: header stamps, or log times for all.
 
-    Log times are used where the headers of one stream have no stamps.
+    Log times are used where the headers of one stream have no stamps, or those of two streams share no time.
     """
     unstamped = [s.topic.name for s in streams if not any((part.stamp_ns > 0).any() for part in s.entries.values())]
     if unstamped:

@@ -73,9 +73,13 @@ class NumberReader:
         return np.array(numbers).reshape(-1, len(self.places)), np.array(lines, dtype=np.int64), words
 
     def _refuse_header(self, line: int, cells: Sequence[str]) -> None:
-        """Refuse a row that repeats the header, also where recovering: another table begins there."""
+        """Refuse a row that repeats the header: another table begins there, unless times show that one goes on."""
         if [cell.strip().strip("'\"").lower() for cell in cells] == list(self.names):
+            has_times = bool(self.places.keys() & set(self.clocks))
+            if self.recover and has_times:
+                return
             message = "repeats the header: two tables, one after the other; split the file before this line"
+            message += RECOVER + " of one recording" if has_times else ""
             raise DataFormatError(self.path, message, line=line)
 
     def _leave_out(self, error: DataFormatError) -> None:

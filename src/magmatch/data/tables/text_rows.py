@@ -63,7 +63,9 @@ class Rows:
         return [ROW_NAMES, *names] if self._has_row_names(len(names)) else names
 
     def _has_row_names(self, n: int) -> bool:
-        """Whether each row below the header begins with one cell more, alone in quotes, as R's write.table does."""
+        """Whether each row below a header in quotes begins with one quoted cell more, as R's write.table does."""
+        if not self.lines[self.at[0]].lstrip().startswith('"'):
+            return False
         below = (self.lines[i].rstrip(" ,;\t") for i in self.at[1:])
         is_whole = len(self.at) > 1 and len(split_row(self.lines[self.at[0]], self.delimiter)) == n
         return is_whole and all(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables of a phone's export in a folder or a zip archive: nothing is unpacked to the disk."""
 
+import posixpath
 import zipfile
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -51,7 +52,7 @@ def phone_tables_of(path: Path, archive: zipfile.ZipFile) -> list[str]:
     """
     plain = [name for name in archive.namelist() if not name.lower().endswith(".gz")]
     found = phone_tables(plain, lambda name: _read_member(path, archive, name, MAX_HEADER))
-    folders = sorted({name.replace("\\", "/").rpartition("/")[0] for name in found})
+    folders = sorted({posixpath.dirname(posixpath.normpath(name.replace("\\", "/"))) for name in found})
     if len(folders) > 1:
         listed = ", ".join(folder or "(top)" for folder in in_short(folders))
         message = f"holds a phone's tables in {len(folders)} folders ({listed}): several logs? Unpack it"

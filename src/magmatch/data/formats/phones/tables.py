@@ -187,11 +187,11 @@ def _digits_beside(place: Path, times: Scalars, elapsed: Scalars) -> int:
 
     Other programs save them in other units, and round them.
     """
-    steps, is_forward = np.diff(times), np.diff(elapsed) > 0  # not where a second log begins
+    steps, is_forward = np.diff(times), np.diff(elapsed) >= 0  # not where a second log begins
     span, expected = float(steps[is_forward].sum()), float(np.diff(elapsed)[is_forward].sum())
     if expected == 0:
         return 9
-    fits = (digits for digits in (9, 6, 3, 0) if isclose(span * 10.0 ** (9 - digits), expected, rel_tol=0.01))
+    fits = (digits for digits in (9, 6, 3, 0) if isclose(span * 10.0 ** (9 - digits), expected, rel_tol=0.1))
     digits = next(fits, None)
     if digits is None and steps.min() < 0:
         return 9  # a clock that was set, which is named with its line
