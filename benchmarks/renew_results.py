@@ -83,7 +83,7 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 173921846 --seeds 8 --drifts 1 --minutes 30 --jobs {jobs} --out {out}",
+        "experiments/slam_scenarios.py --first 173921846 --seeds 8 --drifts 1 --minutes 40 --jobs {jobs} --out {out}",
         31,
     ),
     Run(
