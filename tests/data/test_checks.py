@@ -181,6 +181,13 @@ def test_channels_follow_the_samples_that_marks_leave(room, tmp_path):
     np.testing.assert_array_equal(channels["current"], np.delete(np.arange(1, 51), 4))
 
 
+def test_absurd_readings_are_left_to_the_checks(room):
+    absurd = changed(changed(room, "field", (3, 0), 1e300), "field", (7, 2), -1e200)
+    assert without_missing(absurd) is absurd
+    with pytest.raises(SurveyError, match="sample 3"):
+        check_survey(absurd)
+
+
 def test_half_of_a_log_may_be_filled_with_zeros(room):
     filled = replace(room, field=room.field * (np.arange(len(room)) % 2)[:, None])
     assert len(without_missing(filled)) == 25

@@ -36,6 +36,7 @@ def missing(survey: Survey) -> Mask:
     return is_mark
 
 
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite; they are refused later
 def find_marks(survey: Survey) -> tuple[Mask, list[float]]:
     """Samples whose reading is a mark (n,), and the values, T, that mark them: 0 is said of all axes together.
 
