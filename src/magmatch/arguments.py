@@ -31,7 +31,7 @@ _ADVICE = {
 def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
     """Native float64 of anything that holds plain real numbers; their shape is only stated, in messages."""
     if type(values) is np.ndarray and values.dtype == np.float64 and values.dtype.isnative:
-        return values
+        return np.asarray(values, order="C")  # sums of rows depend on their order in memory
     expected = f"one number{shape[2:]}" if shape.startswith("()") else f"numbers of shape {shape}"
     # Of pint, astropy and xarray; a table of pandas has columns, of whatever name.
     unit = next((getattr(values, n) for n in ("units", "unit") if hasattr(values, n)), None)
@@ -57,7 +57,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
             kind, advice = f"text such as {found(text)}", _COMMAS if "," in text else _TO_NUMBERS
         _refuse(name, expected, kind, advice)
     with np.errstate(over="ignore"):
-        return np.asarray(array, dtype=np.float64)
+        return np.asarray(array, dtype=np.float64, order="C")
 
 
 def points_of(values: Any, name: str = "points", unit: str = "m", thing: str = "row") -> Points:

@@ -15,6 +15,7 @@ from itertools import islice
 from queue import Empty, Queue
 from typing import Any, Self, TypeVar
 
+from magmatch.arguments import whole_number_of
 from magmatch.errors import ConfigurationError, TaskError, import_extra
 from magmatch.threads import on_one_core
 
@@ -52,7 +53,8 @@ class DaskRunner:
     def __init__(self, jobs: int = 2, scheduler: str | None = None, ahead: int = 1) -> None:
         # Tasks per thread of a worker that are on their way: more than one if they are short. Of a worker that dies,
         # all of its tasks are to blame.
-        self.jobs, self.scheduler, self.ahead = jobs, scheduler, ahead
+        self.jobs, self.ahead = whole_number_of(jobs, "jobs", 1), whole_number_of(ahead, "ahead", 1)
+        self.scheduler = scheduler
         self._open = ExitStack()
         import_extra("distributed", "work in several processes", "distributed")
 

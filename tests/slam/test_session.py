@@ -274,6 +274,40 @@ def test_a_log_at_another_height_is_joined_when_it_is_added_as_when_all_are_give
     assert len(mm.slam([a, high]).components) == 1
 
 
+def test_a_live_walk_whose_end_was_interrupted_is_finished_again(lone):
+    log = lone.log.subset(slice(120))
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    session = mm.Session()
+    poses = RigidTransform.from_components(log.positions, log.orientations)
+    b = log.orientations.apply(log.field, inverse=True)
+    for k, t in enumerate(log.times):
+        session.add(float(t), poses[k], b[k])
+    with pytest.raises(KeyboardInterrupt):
+        session.finish("walk", progress=interrupted)
+    session.pose()
+    session.finish("walk")
+    assert session.names == ["walk"]
+    assert len(session.logs[0]) == len(log)
+
+
+def test_a_first_sample_that_is_refused_begins_no_log(lone):
+    session = mm.Session()
+    with pytest.raises(ValueError, match=r"at most 0\.1 T"):
+        session.add(0.0, RigidTransform.identity(), [0.0, 0.0, 50.0])
+    session.add_log(lone.log.subset(slice(80)))
+    assert len(session.logs) == 1
+
+
+def test_the_drift_of_a_log_is_stated_by_its_name_or_its_stem():
+    for name in ("walk.csv", "walk"):
+        config = SlamConfig(sd_of_logs={name: (0.05, 0.5)})
+        assert config.odometry_of("walk.csv").sd == (0.05, 0.5)
+        assert config.odometry_of("other.csv").sd == OdometryConfig().sd
+
+
 def test_fixed_points_that_are_given_again_count_once(lone):
     point = Anchor("walk", float(lone.log.times[30]), np.zeros(3), 0.1)
     session = mm.slam(lone.log.subset(slice(80)), anchors=[point])

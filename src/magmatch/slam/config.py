@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of slam and merge."""
 
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -63,7 +64,11 @@ class SlamConfig(Settings):
         """Number of windows in a row that lie near where the one before did, on average."""
         return round(1 / (1 - self.keeps_on))
 
+    def sd_stated(self, name: str) -> tuple[float, float] | None:
+        """The drift that is stated of one log, by its name or the stem of that."""
+        return self.sd_of_logs.get(name, self.sd_of_logs.get(Path(name).stem))
+
     def odometry_of(self, name: str) -> OdometryConfig:
         """Settings of one log's odometry."""
-        sd = self.sd_of_logs.get(name)
+        sd = self.sd_stated(name)
         return self.odometry if sd is None else self.odometry.model_copy(update={"sd": sd})

@@ -183,12 +183,14 @@ class Session:
         ValueError
             The time does not increase, or a number is not finite; the sample is not added.
         """
-        if self._live is None:
-            if self.places is not None and self.places.maker is None:
-                msg = "the earlier logs' field is constant, so nothing can be compared with it; begin a new Session"
-                raise ValueError(msg)
-            self._live = LiveLog(self._of_slam(), self.places)
-        if is_changed := self._live.add(t, T_odom_body, field):
+        if self._live is None and self.places is not None and self.places.maker is None:
+            msg = "the earlier logs' field is constant, so nothing can be compared with it; begin a new Session"
+            raise ValueError(msg)
+        # A first sample that is refused begins no log.
+        live = self._live or LiveLog(self._of_slam(), self.places)
+        is_changed = live.add(t, T_odom_body, field)
+        self._live = live
+        if is_changed:
             self._changed()
         return is_changed
 
@@ -206,10 +208,15 @@ class Session:
         """
         if self._live is None:
             return
-        survey = replace(self._live.survey(), name=name)
-        self._live = None
+        live, self._live = self._live, None
         self._changed()
-        self.add_logs([survey], progress=progress)
+        try:
+            self.add_logs([replace(live.survey(), name=name)], progress=progress)
+        except BaseException:
+            # What was walked is not lost where this is interrupted: it can be finished again.
+            self._live = live
+            self._changed()
+            raise
 
     def _of_slam(self) -> SlamConfig:
         if not isinstance(self.config, SlamConfig):
@@ -306,7 +313,7 @@ class Session:
         live = [] if self._live is None or len(self.paths) == len(self.given) else [self._live.survey()]
         return SlamResult(
             status,
-            explain(status, groups, n_kept, n_rejected, len(anchors), bent, guess, bent_logs),
+            explain(status, groups, n_kept, n_rejected, len(anchors), bent, guess, bent_logs, is_rigid=self.is_rigid),
             logs,
             tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
             state_anchors(anchors, self.graph, names),

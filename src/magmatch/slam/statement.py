@@ -122,7 +122,7 @@ def bent_window(windows: Sequence[Window]) -> Window | None:
 
 def guessed_drift(graph: PoseGraph, stated: SlamConfig, logs: Sequence[Survey]) -> tuple[float, float] | None:
     """The drift of some log that was neither stated nor learned, m and deg in 10 m."""
-    is_stated = stated.odometry.sd != OdometryConfig().sd or all(s.name in stated.sd_of_logs for s in logs)
+    is_stated = stated.odometry.sd != OdometryConfig().sd or all(stated.sd_stated(s.name) is not None for s in logs)
     return None if is_stated or teaches_drift(graph) else stated.odometry.sd
 
 
@@ -141,11 +141,13 @@ def explain(
     bent: Window | None = None,
     guessed: tuple[float, float] | None = None,
     bent_logs: Sequence[str] = (),
+    *,
+    is_rigid: bool = False,
 ) -> str:
     """Say in words how the logs are connected, or how they could be; or name a window that does not keep its shape.
 
     ``guessed``: the drift (m, deg) that was neither stated nor learned. ``bent_logs``: those that were corrected by
-    more than it makes possible.
+    more than it makes possible. ``is_rigid``: they are surveys, which do not drift.
     """
     n = sum(map(len, groups))
     found = f"{many(n_kept, 'closure')} found" + (f", {n_rejected} rejected by the others" if n_rejected else "")
@@ -158,7 +160,10 @@ def explain(
         )
     if status is SlamStatus.UNCHANGED:
         what = "the field shows no revisited place" if n == 1 else "no closure connects the logs"
-        return f"{what} ({found}); pass some stretches twice, a few correlation lengths each"
+        advice = "pass some stretches twice, a few correlation lengths each"
+        if is_rigid:
+            advice = "survey a common region; magmatch register says of each pair what it lacks"
+        return f"{what} ({found}); {advice}"
     guess = "" if guessed is None else (
         "; odometry is assumed to drift by {:g} m and {:g} degrees in 10 m: state yours with --odometry-sd"
     ).format(*guessed)  # fmt: skip
