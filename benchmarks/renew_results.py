@@ -83,8 +83,8 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 173921846 --seeds 8 --drifts 1 --minutes 40 --jobs {jobs} --out {out}",
-        31,
+        "experiments/slam_scenarios.py --first 185540616 --seeds 8 --drifts 1 --minutes 27 --jobs {jobs} --out {out}",
+        28,
     ),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),

@@ -255,6 +255,13 @@ def test_an_array_is_taken_as_it_is(survey):
     assert mm.Survey(survey.positions, survey.field).positions is survey.positions
 
 
+def test_the_order_of_numbers_in_memory_changes_no_bit(survey):
+    # As pandas gives them: sums of rows depend on it.
+    taken = mm.Survey(np.asfortranarray(survey.positions), np.asfortranarray(survey.field))
+    assert taken.positions.flags.c_contiguous
+    assert taken.field.flags.c_contiguous
+
+
 def test_frames_are_taken_by_position_whatever_their_index(survey, frame, field_map):
     taken = mm.Survey(frame[["x", "y", "z"]], 1e-6 * frame[["bx", "by", "bz"]])
     np.testing.assert_array_equal(taken.positions, survey.positions)

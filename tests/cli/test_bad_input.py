@@ -145,6 +145,7 @@ USAGE: dict[str, tuple[Arguments, str]] = {
     "folder of the pair is missing": (lambda g, t, o: ["simulate", "uniform", "--out", o / "no" / "s"], "no"),
     "file as folder": (lambda g, t, o: ["simulate", "uniform", "--out", g], "good.csv"),
     "result would be a folder": (lambda g, t, o: ["register", g, g, "--out", o], "folder"),
+    "one survey twice": (lambda g, t, o: ["map", g, g, "--out", o / "m"], "holds the same samples as"),
     "result over an input, spelt otherwise": (
         lambda g, t, o: ["map", g, "--out", t / ".." / t.name / "good.csv"],
         "an input",

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -137,13 +138,19 @@ def test_map_takes_its_settings_from_flags_and_file(place, run, tmp_path):
 def test_map_grows_in_its_place(place, run, tmp_path):
     path = tmp_path / "grown.map"
     path.write_bytes((place / "base.map").read_bytes())
-    outcome = run("map", path, place / "base.csv", "--out", path)
+    again, base = tmp_path / "again.csv", read_survey(place / "base.csv")
+    replace(base, field=base.field + 1e-7 * np.random.default_rng(1).standard_normal(base.field.shape)).save(again)
+    outcome = run("map", path, again, "--out", path)
     assert outcome.code == 0
     assert "Added 300 samples to 300; fitted 1 tiles again" in outcome.err
     old, new = FieldMap.load(place / "base.map"), FieldMap.load(path)
     assert len(new.survey) == 600
     assert new.hyperparameters == old.hyperparameters
     assert np.array_equal(new.T_map_model.as_matrix(), old.T_map_model.as_matrix())
+    for twice in (again, place / "base.csv"):
+        outcome = run("map", path, twice, "--out", tmp_path / "surer.map")
+        assert outcome.code == 2
+        assert "holds the same samples as" in outcome.err
 
 
 def test_units_are_stated_for_one_survey_or_all(place, run, tmp_path):
@@ -224,8 +231,9 @@ def flat_copy(survey, path):
 
 
 def test_warnings_of_files_come_before_the_work_and_once_for_all_files(run, tmp_path, place):
-    survey = read_survey(place / "base.csv").subset(slice(60))
-    copies = [flat_copy(survey, tmp_path / f"{name}.csv") for name in ("first", "second", "third", "fourth", "fifth")]
+    survey = read_survey(place / "base.csv")
+    names = ("first", "second", "third", "fourth", "fifth")
+    copies = [flat_copy(survey.subset(slice(k, 300, 5)), tmp_path / f"{name}.csv") for k, name in enumerate(names)]
     outcome = run("map", *copies, "--prior", "spline", "--out", tmp_path / "flat.map")
     (said,) = [line for line in outcome.err.splitlines() if "on one plane" in line]
     assert said.startswith(f"warning: {copies[0]}: ")

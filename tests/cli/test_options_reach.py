@@ -63,7 +63,7 @@ def files(tmp_path, monkeypatch):
 @pytest.fixture
 def read(run, files, monkeypatch):
     """Run a command up to where it has read its surveys; gives them by the names of their files."""
-    plain, found = magmatch.data.read.read_unchecked, {}
+    plain, found = magmatch.data.read.read_as_written, {}
     accepted = SimpleNamespace(T_base_target=RigidTransform.identity())
     monkeypatch.setattr("magmatch.cli.commands.transform.read_result", lambda _: accepted)
 
@@ -74,7 +74,7 @@ def read(run, files, monkeypatch):
                 raise DataFormatError(path, "is read, and that is enough")
             return found[str(path)], used
 
-        monkeypatch.setattr(magmatch.data.read, "read_unchecked", recorded)
+        monkeypatch.setattr(magmatch.data.read, "read_as_written", recorded)
         words = [names.get(word, word.format(out=files / "new")) for word in words]
         done = run(command, *words, *options)
         assert "enough" in done.err or "is read, and" in done.out, done

@@ -84,7 +84,7 @@ def read_survey_and_channels(
     layout = format or SurveyFormat()
     if sniff(path) != "log":
         # Some channels go with the samples row by row.
-        whole, used = _read(path, layout)
+        whole, used = read_as_written(path, layout)
         is_kept, channels = ~missing(whole), channels_at(read_channels(path, layout), whole.times, len(whole))
         survey = whole if is_kept.all() else whole.subset(is_kept)
         return _checked(path, survey, used), {name: values[is_kept] for name, values in channels.items()}
@@ -135,11 +135,11 @@ def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
 
 def read_unchecked(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Read a survey file without checking the survey; also gives how it was read: as stated, and as the file says."""
-    survey, used = _read(path, layout)
+    survey, used = read_as_written(path, layout)
     return without_missing(survey), used
 
 
-def _read(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
+def read_as_written(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """A survey with all readings, those that are missing too."""
     kind = kind_of(path, layout)
     if kind not in READERS:

@@ -121,6 +121,12 @@ def test_missing_extra_is_named(monkeypatch):
         DaskRunner()
 
 
+@pytest.mark.parametrize("jobs", [0, -3, 1.5, "2", True])
+def test_a_number_of_processes_that_cannot_be_is_refused_at_once(jobs):
+    with pytest.raises((TypeError, ValueError), match="jobs: expected a whole number from 1"):
+        DaskRunner(jobs=jobs)
+
+
 @pytest.mark.slow
 def test_task_that_kills_every_worker_is_given_up(workers, tasks):  # last: workers are still coming back after it
     with pytest.raises(TaskError, match=r"^tile 2\.-?\d\.-?\d took down several workers one after the other"):

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+# T: rounding.
+SAME_FIELD = 1e-12
+
 EXAMPLES = (
     "magmatch map room.csv --out room.map",
     "magmatch map drive.mcap --out hall.map",
@@ -83,7 +86,7 @@ def build(
     check_outputs((out,), inputs=[*surveys[1 if is_addition else 0 :], config], page=report)
     if is_addition:
         with processes(jobs, scheduler) as run:
-            grown = extend(surveys[0], [read_samples(path, layouts) for path in surveys[1:]], out, run)
+            grown = extend(surveys[0], surveys[1:], layouts, out, run)
         draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
         return
     settings = merged(FieldConfig(), config, "field")
@@ -92,6 +95,7 @@ def build(
         stated["domain"] = parse_domain(domain)
     settings = FieldConfig.model_validate(settings.model_dump() | stated)
     samples = [read_samples(path, layouts) for path in surveys]
+    refuse_repeats(surveys, samples)
     with processes(jobs, scheduler) as run:
         field_map = build_map(samples, settings, run)
     field_map.save(out)
@@ -139,7 +143,7 @@ def command_again(surveys: "Sequence[Path]", layouts: Layouts, out: Path, *, wit
     return shlex.join([*words, "--out", str(out)])
 
 
-def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Workers | None") -> "FieldMap":
+def extend(path: Path, more: Sequence[Path], layouts: Layouts, out: Path, run: "Workers | None") -> "FieldMap":
     """Add surveys to a saved map."""
     n_fitted = 0
 
@@ -149,7 +153,8 @@ def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Workers | None"
             n_fitted += 1
             yield weights
 
-    old = read_map(path)
+    old, surveys = read_map(path), [read_samples(one, layouts) for one in more]
+    refuse_repeats([*[path] * len(old.surveys), *more], [*old.surveys, *surveys])
     new = old.with_surveys(*surveys, run=counting)
     new.save(out)
     fitted = f"{n_fitted} tiles" if new.config.prior == "spline" else "the whole map"  # other priors have no tiles
@@ -158,6 +163,29 @@ def extend(path: Path, surveys: "list[Survey]", out: Path, run: "Workers | None"
         f"Wrote the map to {out}"
     )
     return new
+
+
+def refuse_repeats(paths: Sequence[Path], surveys: "Sequence[Survey]") -> None:
+    """Refuse samples that are given twice: the map would be surer than it can be."""
+    from magmatch.errors import DataFormatError
+
+    for k, one in enumerate(surveys):
+        for path, other in zip(paths[:k], surveys, strict=False):
+            if hold_the_same(one, other):
+                raise DataFormatError(paths[k], f"holds the same samples as {path}, expected each only once")
+
+
+def hold_the_same(one: "Survey", other: "Survey") -> bool:
+    """Whether most samples of a survey stand in another; a map keeps them without outliers and without a bias."""
+    import numpy as np
+
+    rows = {p.tobytes(): k for k, p in enumerate(other.positions)}
+    pairs = [(k, rows[p.tobytes()]) for k, p in enumerate(one.positions) if p.tobytes() in rows]
+    if 2 * len(pairs) <= len(one):
+        return False
+    here, there = np.array(pairs).T
+    # A bias that turns with the sensor has one size; no two measurements differ by one.
+    return bool(np.ptp(np.linalg.norm(one.field[here] - other.field[there], axis=1)) <= SAME_FIELD)
 
 
 def parse_domain(text: str) -> tuple[float, ...]:
