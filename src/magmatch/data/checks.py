@@ -269,10 +269,11 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
         share = f"{100 * n_still / n:.0f} %"
         yield f"{share} of the samples repeat the position before them: at rest, or a pose rate below the field's?"
     # Of a sensor that turns, readings that are held are turned with it.
-    n_stuck = int((find_repeats(survey.field) | find_repeats(sensor_readings(survey))).sum())
+    readings = sensor_readings(survey)
+    n_stuck = int((find_repeats(survey.field) | find_repeats(readings)).sum())
     if 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
-    yield from _doubt_turns(survey.positions, sensor_readings(survey))
+    yield from _doubt_turns(survey.positions, readings)
 
 
 def _doubt_turns(positions: Points, readings: Vectors) -> Iterator[str]:

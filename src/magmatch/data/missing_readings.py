@@ -9,7 +9,7 @@ from magmatch.data.sensor_axes import Levels, sensor_readings
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
 from magmatch.errors import in_short
-from magmatch.typing import Indices, Mask
+from magmatch.typing import Mask
 
 log = logging.getLogger(__name__)
 
@@ -48,14 +48,13 @@ def find_marks(survey: Survey) -> tuple[Mask, list[float]]:
     if is_mark.all():
         return is_mark, values
     most = OUT_OF_RANGE * float(np.median(sizes[~is_mark]))
-    for levels in (*Levels.of(sensor_readings(survey)), *Levels.of(survey.field)):
-        odd = np.flatnonzero((np.abs(levels.values) > most) & (_times_read(levels) >= FEWEST))
+    if sizes.max() <= most:
+        return is_mark, values  # as in most surveys: no axis reads more than the field's size
+    turned = () if survey.orientations is None else Levels.of(sensor_readings(survey))
+    for levels in (*turned, *Levels.of(survey.field)):
+        # What is held counts, too.
+        odd = np.flatnonzero((np.abs(levels.values) > most) & (np.bincount(levels.number) >= FEWEST))
         if len(odd) <= MOST_MARKS:
             is_mark |= np.isin(levels.number, odd)
             values += levels.values[odd].tolist()
     return is_mark, values
-
-
-def _times_read(levels: Levels) -> Indices:
-    """Count how often each value was read; what is held counts, too."""
-    return np.bincount(levels.number, minlength=len(levels.values))

@@ -3,7 +3,7 @@
 
 import logging
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -169,18 +169,23 @@ def refuse_repeats(paths: Sequence[Path], surveys: "Sequence[Survey]") -> None:
     """Refuse samples that are given twice: the map would be surer than it can be."""
     from magmatch.errors import DataFormatError
 
-    for k, one in enumerate(surveys):
-        for path, other in zip(paths[:k], surveys, strict=False):
-            if hold_the_same(one, other):
-                raise DataFormatError(paths[k], f"holds the same samples as {path}, expected each only once")
+    known: list[tuple[Path, Survey, dict[bytes, int]]] = []
+    for path, survey in zip(paths, surveys, strict=True):
+        places = [p.tobytes() for p in survey.positions]
+        for earlier, other, rows in known:
+            if hold_the_same(survey, places, other, rows):
+                raise DataFormatError(path, f"holds the same samples as {earlier}, expected each only once")
+        known.append((path, survey, {place: k for k, place in enumerate(places)}))
 
 
-def hold_the_same(one: "Survey", other: "Survey") -> bool:
-    """Whether most samples of a survey stand in another; a map keeps them without outliers and without a bias."""
+def hold_the_same(one: "Survey", places: Sequence[bytes], other: "Survey", rows: Mapping[bytes, int]) -> bool:
+    """Whether most samples of a survey stand in another; a map keeps them without outliers and without a bias.
+
+    ``places`` are its positions, ``rows`` where the other has each.
+    """
     import numpy as np
 
-    rows = {p.tobytes(): k for k, p in enumerate(other.positions)}
-    pairs = [(k, rows[p.tobytes()]) for k, p in enumerate(one.positions) if p.tobytes() in rows]
+    pairs = [(k, rows[place]) for k, place in enumerate(places) if place in rows]
     if 2 * len(pairs) <= len(one):
         return False
     here, there = np.array(pairs).T

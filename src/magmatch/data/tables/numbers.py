@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magmatch.data.tables.number_marks import Decimal, float_of_text, is_number, number_of_text
+from magmatch.data.tables.number_marks import Decimal, is_number, number_of_text
 from magmatch.data.tables.text_rows import listed
 from magmatch.data.tables.times import seconds_of_date, seconds_of_text
 from magmatch.errors import DataFormatError
@@ -114,7 +114,8 @@ class NumberReader:
         if self.decimal == "comma":
             texts = ["" if "." in text else text.replace(",", ".") for text in texts]
         try:
-            values = [float_of_text(text) for text in texts]
+            # An underscore is no part of a number, but for Python's own.
+            values = [np.nan] if "_" in "".join(texts) else [float(text) for text in texts]
         except ValueError:
             values = [np.nan]
         if not isfinite(sum(values)):
