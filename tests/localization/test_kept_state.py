@@ -51,6 +51,24 @@ def test_a_restored_localizer_goes_on_with_the_same_bits(known, followed, cut):
     assert written(one) == written(other)
 
 
+def test_what_is_looked_for_while_a_body_is_outside_goes_on_too(known, followed):
+    config, log = LocalizerConfig(), followed.log
+    one = Localizer(known, config)
+    fed = list(samples(log, range(150)))
+    # The odometry goes sideways out of the map, where the field is what it was on the way.
+    t, T, _ = fed[-1]
+    ahead = [(t + 0.1 * k, T * RigidTransform.from_translation([0, -0.1 * k, 0]), fed[k][2]) for k in range(1, 80)]
+    for sample in [*fed, *ahead[:50]]:
+        one.update(*sample)
+    assert one._anew is not None
+    other = restored(known, config, loads(written(one), SCHEMA, KINDS))
+    for sample in ahead[50:]:
+        one.update(*sample)
+        other.update(*sample)
+        assert same(one.estimate(), other.estimate())
+    assert written(one) == written(other)
+
+
 def test_a_state_is_no_larger_than_it_says_after_a_long_walk(known, followed):
     one = Localizer(known)
     sizes = []

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A body is found in its map from an unknown start, and nowhere else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -8,6 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import magmatch as mm
 from drifting import Place, about_z, drifting_walk, loop
 from magmatch.field.config import SPLINE
+from magmatch.localization.localizer import FOUND_ELSEWHERE
 from magmatch.localization.samples import OdometryJump, unit_rows
 
 
@@ -203,6 +206,29 @@ def test_outside_the_map_a_pose_is_stated_only_while_it_is_known(place):
         found.append(localizer.estimate())
     assert not any(e.is_stated for e in found[200:])
     assert all(np.sqrt(np.diag(e.covariance)[3:].max()) < 0.3 for e in found if e.is_stated)
+
+
+@pytest.fixture(scope="module")
+def slipped():
+    """A walk that stays in the map, whose odometry slips by 6 m, out of the map, half way; its true positions."""
+    log, truth = drifting_walk(Place(1), 24, laps=2.0, start=0.5)
+    slip = np.clip(np.arange(len(log)) - len(log) // 2, 0, 30) * 0.2
+    return replace(log, positions=log.positions + slip[:, None] * [0.0, -1.0, 0.0]), truth
+
+
+def test_a_body_whose_odometry_slips_out_of_the_map_is_found_in_it_again(place, slipped):
+    log, truth = slipped
+    whole, live = (mm.localize(place, log, live=is_live) for is_live in (False, True))
+
+    def errors(track):
+        return np.linalg.norm(track.poses.translation - truth[track.is_stated], axis=1)
+
+    assert whole.is_stated.mean() > 0.8
+    assert errors(whole).max() < 0.6
+    assert (errors(live)[-20:] < 0.3).all()
+    assert live.is_stated[-20:].all()
+    # Who was trusted to be outside is said to be lost before another place is stated.
+    assert FOUND_ELSEWHERE in [e.reason for e in live.estimates]
 
 
 BAD = {

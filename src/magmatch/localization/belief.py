@@ -98,7 +98,7 @@ class Belief:
     @property
     def _penalty(self) -> OutsidePenalty:
         """A place that stands may leave the map; others come into it as seldom as a track is lost."""
-        n_free = len(self._weighed[0].rows) if self.is_sure and self._stands() else 0
+        n_free = len(self._weighed[0].rows) if self.is_sure and self.stands else 0
         return OutsidePenalty(self._config.price_outside / self._known.length, n_free, self._most_earlier)
 
     def is_doubtful(self) -> bool:
@@ -184,10 +184,10 @@ class Belief:
         self.is_sure = is_known and not off
         if not is_known or np.isnan(self._stood):
             self._stood = 0.0 if is_known else np.nan
-        elif self._window.fit[-1, 0]["is_known"]:
+        elif self.is_inside:
             self._stood += math.hypot(*self._window.steps[-1]["u"])
         if self.is_sure:
-            self._was_sure |= self._stands()
+            self._was_sure |= self.stands
             self._follow_other_drifts()
             return
         self._trail = []
@@ -207,12 +207,18 @@ class Belief:
         self._window.keep([*rows, *range(1, len(bank))])
         self._weighed[0] = replace(self._weighed[0], rows=tuple(range(len(rows))))
 
-    def _stands(self) -> bool:
+    @property
+    def stands(self) -> bool:
         """Whether the place has been known for long enough to be stated: a first fix is the best of many starts.
 
         Path outside the map puts it to no test.
         """
         return self._stood >= self._config.stands * self._known.length
+
+    @property
+    def is_inside(self) -> bool:
+        """Whether the map knows the most likely place at the last bin."""
+        return bool(self._window.fit[-1, 0]["is_known"])
 
     def _is_place_known(self) -> bool:
         return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
@@ -229,17 +235,16 @@ class Belief:
 
     def estimate(self, T: Matrix, *, at_once: bool) -> PoseEstimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
-        stands = (at_once or self._stands()) if self._is_place_known() else False
+        stands = (at_once or self.stands) if self._is_place_known() else False
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
             return PoseEstimate(status, words, probability=self._found.best, is_place_known=stands)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
         said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
-        is_in = bool(self._window.fit[-1, 0]["is_known"])
         return PoseEstimate(
-            LocalizerStatus.LOCALIZED if is_in else LocalizerStatus.DEAD_RECKONING,
-            self._words if is_in else f"{self._words}, outside what the map knows",
+            LocalizerStatus.LOCALIZED if self.is_inside else LocalizerStatus.DEAD_RECKONING,
+            self._words if self.is_inside else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
             self._known.name, float(said["gain"]), float(said["drift"]), is_place_known=True,
         )  # fmt: skip

@@ -14,13 +14,14 @@ from magmatch.localization.belief import Belief
 from magmatch.localization.bins import Bin, Binning
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces, NotReadyError
+from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.localizer import Localizer
 from magmatch.localization.measurement import LatestBins
 from magmatch.localization.samples import LastSample
 from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 
 # What a state may consist of, and changes with.
-SCHEMA = "magmatch.localizer/8"
+SCHEMA = "magmatch.localizer/9"
 KINDS = (Answer, Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief and its null model: what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "_start"}
@@ -28,18 +29,13 @@ MADE_ANEW = {"_known", "_config", "_model", "_start"}
 
 def state_of(localizer: Localizer) -> dict[str, Any]:
     """Give the complete state of a localizer; its arrays are the localizer's own, which it goes on to write into."""
-    maps = localizer._maps
     return {
         "written_by": [SCHEMA, __version__],
         "config": _config_of(localizer),
         "samples": localizer._samples,
         "binning": localizer._binning,
-        "bins": maps._bins,
-        "n_until_vote": maps._n_until_vote,
-        "likely": [
-            [None if entry is None else entry.name, maps.known.fingerprint(entry), _belief(belief)]
-            for entry, belief in maps.likely.items()
-        ],
+        "is_refuted": localizer._is_refuted,
+        "maps": [_likely_maps(maps) for maps in (localizer._maps, localizer._anew) if maps is not None],
     }
 
 
@@ -56,27 +52,45 @@ def restored(
     localizer = Localizer(known, config)
     if state["config"] != _config_of(localizer):
         raise DataFormatError(path, "is of other settings")
-    localizer._samples, localizer._binning, maps = state["samples"], state["binning"], localizer._maps
-    maps._bins, maps._n_until_vote, maps.likely = state["bins"], state["n_until_vote"], {}
+    localizer._samples, localizer._binning = state["samples"], state["binning"]
+    localizer._is_refuted = state["is_refuted"]
+    kept_maps = [likely for maps in state["maps"] for likely in maps["likely"]]
     entries = {None if entry is None else entry.name: entry for entry in known.entries}
-    for name, fingerprint, _ in state["likely"]:
+    for name, fingerprint, _ in kept_maps:
         if name not in entries or known.fingerprint(entries[name]) != fingerprint:
             raise DataFormatError(path, f"is of another version of the map {name or ''}".rstrip())
-    ready = [known.soon(entries[name]) for name, *_ in state["likely"]]
-    for one, (name, _, kept) in zip(ready, state["likely"], strict=True):
-        if one is None:
-            raise NotReadyError
-        belief = Belief(one, config)
-        vars(belief._null).update(kept.pop("_null"))
-        vars(belief).update(kept)
-        maps.likely[entries[name]] = belief
+    soon = {name: known.soon(entries[name]) for name, *_ in kept_maps}
+    ready = {name: one for name, one in soon.items() if one is not None}
+    if len(ready) < len(soon):
+        raise NotReadyError
+    # The second, if there is one, is what the path since the first's map was left says by itself.
+    looks = [localizer._maps, LikelyMaps(known, config)][: len(state["maps"])]
+    for maps, kept in zip(looks, state["maps"], strict=True):
+        maps._bins, maps._n_until_vote, maps.likely = kept["bins"], kept["n_until_vote"], {}
+        for name, _, of_belief in kept["likely"]:
+            maps.likely[entries[name]] = _belief_from(of_belief, Belief(ready[name], config))
+    localizer._maps, localizer._anew, *_ = *looks, None
     return localizer
 
 
 def _config_of(localizer: Localizer) -> Any:
-    return localizer._maps._config.model_dump(mode="json")
+    return localizer._maps.config.model_dump(mode="json")
+
+
+def _likely_maps(maps: LikelyMaps) -> dict[str, Any]:
+    likely = [
+        [None if entry is None else entry.name, maps.known.fingerprint(entry), _belief(belief)]
+        for entry, belief in maps.likely.items()
+    ]
+    return {"bins": maps._bins, "n_until_vote": maps._n_until_vote, "likely": likely}
 
 
 def _belief(belief: Belief) -> dict[str, Any]:
     kept = {name: value for name, value in vars(belief).items() if name not in MADE_ANEW}
     return kept | {"_null": {name: v for name, v in vars(belief._null).items() if name not in MADE_ANEW}}
+
+
+def _belief_from(kept: dict[str, Any], belief: Belief) -> Belief:
+    vars(belief._null).update(kept.pop("_null"))
+    vars(belief).update(kept)
+    return belief

@@ -2,7 +2,7 @@
 """The maps that a body may be in: one, or those of a folder that its path votes for."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 
 import numpy as np
@@ -28,7 +28,7 @@ class LikelyMaps:
     """The belief in each likely map."""
 
     def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
-        self._config, self._atlas, self.known = config, known.atlas, known
+        self.config, self._atlas, self.known = config, known.atlas, known
         self._bins: list[Bin] = []
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
@@ -49,21 +49,41 @@ class LikelyMaps:
         """The belief in the likeliest map; None before any was voted for."""
         return max(self.likely.values(), key=lambda belief: (belief.is_sure, belief.log_odds), default=None)
 
-    def follow(self, done: Bin) -> Sequence[Belief]:
-        """Take a bin along the path; beliefs in the likely maps, each up to it."""
+    @property
+    def is_outside(self) -> bool:
+        """Whether a body whose place is trusted is outside of what its map knows."""
+        return self.best is not None and self.best.is_sure and not self.best.is_inside
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether a place is trusted, and stands."""
+        return self.best is not None and self.best.is_sure and self.best.stands
+
+    def take(self, done: Bin, may_search: Callable[[], bool] = lambda: True) -> None:
+        """Take a bin along the path: follow, doubt, search and judge."""
+        self._follow(done)
+        for belief in self.likely.values():
+            if belief.is_doubtful():
+                belief.doubt()
+        for belief in self._due():
+            if may_search():
+                belief.search()
+        self._judge()
+
+    def _follow(self, done: Bin) -> None:
+        """Follow a bin in each likely map."""
         for belief in self.likely.values():
             belief.follow(done)
         if self._atlas is not None:
-            self._bins = [*self._bins, done][-round(self._config.window / BIN_LENGTH) :]
+            self._bins = [*self._bins, done][-round(self.config.window / BIN_LENGTH) :]
             if self._is_sure:
                 # It is in one map: of the others those remain that its path supports, and none is searched.
                 self._keep_likely()
             else:
                 self._vote(self._atlas)
                 self._begin()
-        return list(self.likely.values())
 
-    def due(self) -> list[Belief]:
+    def _due(self) -> list[Belief]:
         """Beliefs to search for hypotheses, that which waits longest first."""
         if self._is_sure:
             return []
@@ -76,7 +96,7 @@ class LikelyMaps:
     def _keep_likely(self, voted: Sequence[AtlasEntry] = ()) -> None:
         self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
 
-    def judge(self) -> None:
+    def _judge(self) -> None:
         """Weigh all hypotheses of all maps against each other."""
         odds = {key: belief.weigh() for key, belief in self.likely.items()}
         for key, belief in self.likely.items():
@@ -87,7 +107,7 @@ class LikelyMaps:
     def probabilities(self) -> dict[str, float]:
         """Give the probability of each likely map, most likely first; what is left is that the body is in none."""
         ranked = sorted(self.likely.values(), key=lambda belief: -belief.total_odds)
-        terms = np.array([*(belief.total_odds for belief in ranked), -np.log(self._config.decision.prior_odds)])
+        terms = np.array([*(belief.total_odds for belief in ranked), -np.log(self.config.decision.prior_odds)])
         shares = np.exp(terms - np.logaddexp.reduce(terms)).tolist()
         return {belief.name: share for belief, share in zip(ranked, shares, strict=False)}
 
@@ -119,7 +139,7 @@ class LikelyMaps:
                 self._awaited.remove(entry)
                 continue
             if known is not None:
-                self.likely[entry] = Belief(known, self._config)
+                self.likely[entry] = Belief(known, self.config)
                 for one in self._bins:
                     self.likely[entry].follow(one)
         self._awaited = [entry for entry in self._awaited if entry not in self.likely]

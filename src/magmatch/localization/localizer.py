@@ -20,6 +20,7 @@ from magmatch.threads import one_blas_thread
 from magmatch.typing import Vector3
 
 ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
+FOUND_ELSEWHERE = "the path since the body was thought to have left the map is in the map elsewhere"
 
 
 class Localizer:
@@ -39,6 +40,10 @@ class Localizer:
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
             self._maps = LikelyMaps(known, config)
+        # While a trusted place is outside its map, nothing puts it to the test: the path since may be that of a body
+        # that is in the map elsewhere, and is looked for as if the log began there.
+        self._anew: LikelyMaps | None = None
+        self._is_refuted = False  # the place trusted up to the last bin
         self._samples = LastSample()
         self._binning = Binning(self._maps.bin_length)
 
@@ -73,13 +78,15 @@ class Localizer:
         new = self._binning.add(sample)
         if new is None:
             return
-        for belief in self._maps.follow(new):
-            if belief.is_doubtful():
-                belief.doubt()
-        for belief in self._maps.due():
-            if may_search():
-                belief.search()
-        self._maps.judge()
+        self._is_refuted = False
+        self._maps.take(new, may_search)
+        if not self._maps.is_outside:
+            self._anew = None
+            return
+        self._anew = self._anew or LikelyMaps(self._maps.known, self._maps.config)
+        self._anew.take(new, may_search)
+        if self._anew.is_settled:
+            self._maps, self._anew, self._is_refuted = self._anew, None, True
 
     def estimate(self, *, at_once: bool = False) -> PoseEstimate:
         """Give the present estimate; its ``T_map_body`` is None unless the pose is stated.
@@ -87,6 +94,8 @@ class Localizer:
         ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands.
         """
         best = self._maps.best
+        if self._is_refuted:
+            return PoseEstimate(LocalizerStatus.LOST, FOUND_ELSEWHERE)
         if best is None:
             return PoseEstimate(LocalizerStatus.SEARCHING, self._maps.why_none)
         return best.estimate(self._samples.T_odom_body, at_once=at_once)
