@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import multivariate_normal
 
 from drifting import submap_at
+from magmatch.geometry import turn_and_shift
 from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.slam.config import SlamConfig
@@ -36,29 +37,33 @@ def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):
         assert densest - 0.3 < match.log_prior <= densest
 
 
-def test_what_the_field_says_of_a_pose_does_not_grow_as_the_graph_expects_it_elsewhere(near):
-    """A neighbour that predicts the pose replaces the prior. It must not be paid more than the prior took.
+def test_what_the_field_says_of_a_pose_is_apart_from_what_its_prediction_costs(near):
+    """A neighbour that predicts the pose replaces the prior, and is paid what the prior took.
 
-    The law of evidence takes thousands of nats against a pose for some thirty. Given back in full, they would make a
-    pose certain that field and graph both exclude.
+    The law of evidence saturates, and the prior does not: strong evidence makes no unlikely pose cheap.
     """
-    node = near.window.T_log_node
+    node, drifts = near.window.T_log_node, near.window.config.drifts
     (match, *_) = matches(near.window, near.base, near.rough)
     pose_of = match.T_base_log * node
+    C = (near.rough.covariance + NODE_COVARIANCE)[np.ix_(drifts, drifts)]
 
-    def of_field(sds):
-        """What the window says of one pose alone, which is expected so many standard deviations away."""
+    def expected_off(sds):
+        """The same pose, which is expected so many standard deviations away; and the density of that."""
         sd = np.sqrt(np.diag(near.rough.covariance))
         off = pose([0, 0, sds * sd[2]], [sds * sd[3], 0, 0])
         rough = Rough(pose_of * off * node.inv(), near.rough.covariance)
         found = matches(near.window, near.base, rough, [match.T_base_log])
         m = min(found, key=lambda m: np.linalg.norm((pose_of.inv() * m.T_base_log * node).translation))
         assert np.linalg.norm((pose_of.inv() * m.T_base_log * node).translation) < 0.1
-        return m.log_odds - m.log_prior
+        xi = turn_and_shift(off.inv() * pose_of.inv() * m.T_base_log * node)
+        return m, multivariate_normal.logpdf(xi[drifts], cov=C)
 
-    there = of_field(0.0)
+    there, _ = expected_off(0.0)
     for sds in (1.0, 2.0, 3.0):
-        assert of_field(sds) == pytest.approx(there, abs=0.5)
+        m, density = expected_off(sds)
+        assert m.log_prior == pytest.approx(density, abs=1e-6)
+        assert m.log_odds - m.log_prior == pytest.approx(there.log_odds - there.log_prior, abs=0.5)
+    assert there.log_prior - m.log_prior > 4
 
 
 def test_a_closure_knows_height_and_lean_no_better_than_its_two_nodes_hold_them(lone):

@@ -141,8 +141,9 @@ class Match:
 
     T_base_log: RigidTransform  # frame of the base's samples from that of the window's log
     covariance: Covariance6  # (6, 6): of xi in ``T Exp(xi)`` about the window's node, log's axes
-    log_odds: float  # over an unrelated field, prior included, by the law of a registration without its offset
-    # Density of the prior at the pose, per m and rad, of the components that drift: as it counts in the log odds.
+    # Over an unrelated field: of the field, by the law of a registration without its offset, less the prior's cost.
+    log_odds: float
+    # Density of the prior at the pose, per m and rad, of the components that drift.
     log_prior: float
     # Where the field alone puts the window's node, from where field and graph do, and the covariance of that: what
     # the graph predicted is no news to it.
@@ -190,13 +191,12 @@ def matches(
     found = []
     for e in distinct((e for e in weighed if np.isfinite(e.log_evidence)), same):
         T = product(T_base, e.T_base_target, T_walk_log)
-        odds = log_odds(e.log_evidence, e.misfit, "window")
         densest, less = expected.log_densities(window, T, prior)
-        # What the prior costs counts by the same law as the field, so that giving it back adds no more than it took.
-        gained = log_odds(e.log_evidence + less, e.misfit, "window") - odds
+        # The law is that of errors of the field: what the prediction costs counts in full.
+        odds = log_odds(e.log_evidence + less, e.misfit, "window") - less
         T_alone, C_alone = predicted.taken_out(e.T_base_target, e.center, e.covariance)
         T_node_alone = product(T_node_walk, e.T_base_target.inv(), T_alone, T_walk_node)
-        found.append(Match(T, M @ e.covariance @ M.T, odds, densest - gained, T_node_alone, M @ C_alone @ M.T))
+        found.append(Match(T, M @ e.covariance @ M.T, odds, densest - less, T_node_alone, M @ C_alone @ M.T))
     return found
 
 
