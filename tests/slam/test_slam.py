@@ -10,6 +10,7 @@ import magmatch as mm
 from drifting import EARTH, Place, about_z, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
 from magmatch.errors import SurveyError
+from magmatch.preparation.odometry.drift import OdometryConfig
 from magmatch.slam.bending import bend
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.run import slam
@@ -141,3 +142,12 @@ def test_the_verb_is_called_by_the_rooms_name_however_often():
     constant = replace(log, field=np.tile([2e-5, 0.0, -4.5e-5], (len(log), 1)))
     for _ in range(2):
         assert mm.slam(constant).result().status == "unchanged"
+
+
+def test_odometry_that_drifts_more_than_stated_is_corrected_though_little_is_passed_twice():
+    """By 6 degrees in a metre where 1 is stated: what it passes twice lies where nothing expects it."""
+    log, truth = drifting_walk(Place(2), 3, laps=1.35, turn=6.0)
+    stated = SlamConfig(odometry=OdometryConfig(sd=(0.15, 3.0)))
+    session = mm.slam(log, stated)
+    assert trajectory_error(truth, session.trajectories[0].positions) < 0.3 * trajectory_error(truth, log.positions)
+    np.testing.assert_allclose(session.graph.config.odometry.sd, np.e * np.array(stated.odometry.sd))

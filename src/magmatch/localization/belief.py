@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.special import log_softmax
 
 from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of, worst_sd
 from magmatch.localization.bins import Bin
@@ -28,6 +27,7 @@ from magmatch.localization.weigh_hypotheses import (
     stated,
     weigh,
 )
+from magmatch.preparation.odometry.drift import FACTOR_ODDS, FACTORS
 from magmatch.registration.decide.decision import in_words, too_low
 from magmatch.typing import Matrix
 
@@ -37,10 +37,6 @@ BIN_LENGTH = 0.25
 BREAK = 2
 # Log odds under the likeliest at which a hypothesis is forgotten, nats.
 NO_CHANCE = -14.0
-# Variances of the odometry's random walk over those stated, and their prior log odds: the stated deviation may be a
-# guess, whose logarithm has a standard deviation of 1, as in slam. Three nodes of it are told apart by a walk.
-_SPREADS = np.array([0, -1, 1])
-DRIFTS, DRIFT_ODDS = np.exp(2.0 * _SPREADS), log_softmax(-0.5 * _SPREADS**2)
 NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 
@@ -199,10 +195,10 @@ class Belief:
         """Follow the trusted pose also under other drifts of the odometry, of which evidence tells in time."""
         if len(self._weighed[0].rows) > 1:
             return
-        rows, bank = [0] * len(DRIFTS), self._bank
+        rows, bank = [0] * len(FACTORS), self._bank
         new = bank[rows]
-        new["earlier"] += DRIFT_ODDS
-        new["drift"] = DRIFTS
+        new["earlier"] += FACTOR_ODDS
+        new["drift"] = FACTORS**2
         self._bank = np.concatenate([new, bank[1:]])
         self._window.keep([*rows, *range(1, len(bank))])
         self._weighed[0] = replace(self._weighed[0], rows=tuple(range(len(rows))))

@@ -117,6 +117,12 @@ class LoopCloser:
         places.take_drift(config)
         self.search.weigh_anew()
 
+    @property
+    def log_odds(self) -> float:
+        """Log odds of the closures that the graph keeps, over that nothing was passed twice, nats."""
+        closures = self.places.graph.as_arrays
+        return float(closures.odds[closures.is_kept].sum())
+
     def _is_lost(self, closure: Closure) -> bool:
         """Whether the graph does not know which submap a closure's window lies on."""
         half = self.places.window(closure.second).path_length / 2

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field
+from scipy.special import log_softmax
 
 from magmatch.data.survey import Survey
 from magmatch.data.units import STATED_OVER
@@ -16,6 +17,9 @@ Deviation = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Drift = tuple[Deviation, Deviation]
 # Drift of steps counted and turned by a phone's own sensors.
 DEAD_RECKONING_SD: Drift = (0.5, 6.0)
+# What is stated may be a guess, whose logarithm has a standard deviation of 1: factors on it, their prior log odds.
+_LOGARITHMS = np.array([0, -1, 1])
+FACTORS, FACTOR_ODDS = np.exp(_LOGARITHMS), log_softmax(-0.5 * _LOGARITHMS**2)
 # How well gravity and one floor hold at a pose: rad, m.
 UPRIGHT_SD, LEVEL_SD = 0.01, 0.05
 # Tilt that a body on one floor keeps within, rms: a steady carrier's, not a climber's, rad.

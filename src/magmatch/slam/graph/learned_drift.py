@@ -29,20 +29,20 @@ def learned_drift(graph: PoseGraph, paths: Sequence[Path], stated: SlamConfig) -
     if not teaches_drift(graph):
         return stated
     # Covariances are sums of a part of each.
-    of_shifts, of_turns = (odometry_graph(paths, _with_factors(stated, only)).edges.covariance for only in np.eye(2))
+    of_shifts, of_turns = (odometry_graph(paths, with_factors(stated, only)).edges.covariance for only in np.eye(2))
     of_neither = SURE**2 * np.eye(6)
     trial = graph.copied()
 
     def cost(logs: Scalars) -> float:
         a, b = np.exp(2 * logs)
         Q = a * (of_shifts - of_neither) + b * (of_turns - of_neither) + of_neither
-        trial.edges, trial.config = replace(graph.edges, covariance=Q), _with_factors(stated, np.exp(logs))
+        trial.edges, trial.config = replace(graph.edges, covariance=Q), with_factors(stated, np.exp(logs))
         # The stated drift may be a guess, whose logarithm has a standard deviation of 1.
         return 0.5 * float((logs**2).sum()) - log_evidence(trial)
 
     simplex = np.array([[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]])
     found = fmin(cost, simplex[0], xtol=SAME_FACTOR, ftol=SAME_FACTOR, initial_simplex=simplex, disp=False)
-    return _with_factors(stated, np.exp(found))
+    return with_factors(stated, np.exp(found))
 
 
 def teaches_drift(graph: PoseGraph) -> bool:
@@ -50,7 +50,9 @@ def teaches_drift(graph: PoseGraph) -> bool:
     return len(graph.closures) >= PRIOR_STRETCHES
 
 
-def _with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
+def with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
+    """Settings with other standard deviations of position and heading, by a factor each."""
+
     def scaled(sd: tuple[float, float]) -> tuple[float, float]:
         return float(factors[0] * sd[0]), float(factors[1] * sd[1])
 
