@@ -431,6 +431,11 @@ def test_dir_is_the_public_names():
         assert getattr(mm, name) is not None
 
 
+def test_public_rooms_are_there_without_an_import_of_their_own():
+    code = "import magmatch as mm; print(mm.published, mm.simulation, mm.viz, mm.phones)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
 def test_importing_loads_nothing_heavy():
     code = "import sys, magmatch; dir(magmatch); magmatch.SurveyError; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()

@@ -134,7 +134,13 @@ import_module("magmatch.slam")
 del globals()["slam"]
 
 
+# Public rooms beside this one.
+_ROOMS = {"phones", "published", "simulation", "viz"}
+
+
 def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return import_module(f"magmatch.{name}")
     if name not in _HOMES:
         msg = f"module 'magmatch' has no attribute '{name}'"
         raise AttributeError(msg)

@@ -112,3 +112,12 @@ def test_a_map_of_another_prior_cannot_be_inferred_recursively(batch):
     other = replace(batch, config=batch.config.model_copy(update={"prior": "spline"}))
     with pytest.raises(ConfigurationError, match="of the prior 'divergence_free', got a map of 'spline'"):
         recursively(other)
+
+
+def test_a_map_inferred_recursively_is_neither_saved_nor_grown_as_another_posterior(batch, tmp_path):
+    found = recursively(batch)
+    with pytest.raises(ConfigurationError, match="neither saved nor grown"):
+        found.save(tmp_path / "recursive.map")
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ConfigurationError, match="neither saved nor grown"):
+        found.without_samples(np.arange(len(found.survey)) < 3)

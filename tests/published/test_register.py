@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The published method as a whole, on maps made from samples, and with parts of one's own."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
@@ -11,8 +14,7 @@ from magmatch.features.infer import grid_spacing
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.geometry import random_transform, transform_error
-from magmatch.published import Matches, PublishedConfig, register
-from magmatch.published.register import comparable
+from magmatch.published import Matches, PublishedConfig, comparable, infer, register
 from magmatch.registration.config import PRESETS
 
 CONFIG = PublishedConfig()
@@ -96,3 +98,45 @@ def test_a_detector_a_descriptor_and_a_matcher_of_ones_own_are_used(base_map, ta
     assert len(found.target) == len(found.matches)
     np.testing.assert_allclose(found.base.descriptors[:, 0], np.linalg.norm(found.base.field, axis=1))
     assert not found.candidates
+
+
+def test_the_steps_on_the_page_are_those_of_register(base_map, target_map):
+    page = (Path(__file__).parents[2] / "docs" / "theory" / "published.md").read_text("utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    # Its maps are those here, so that they need not be made again.
+    code = re.sub("maps = .*", "maps = [base_map, target_map]", code)
+    names = {"base_map": base_map, "target_map": target_map, "target": target_map.survey}
+    exec(code, names)
+    whole = register(base_map, target_map)
+    np.testing.assert_array_equal(names["matches"].base_rows, whole.matches.base_rows)
+    np.testing.assert_array_equal(
+        names["found"][0].T_base_target.as_matrix(), whole.candidates[0].T_base_target.as_matrix()
+    )
+    assert names["check"] == whole.check
+
+
+PARTS = {
+    "rows that X* does not have": ({"detector": lambda at: [len(at)]}, ValueError, "rows"),
+    "rows of floats": ({"detector": lambda at: np.linspace(0, 1, len(at))}, ValueError, "rows"),
+    "too few descriptors": (
+        {"descriptor": lambda at, frames: np.ones((len(frames) - 1, 3))},
+        ValueError,
+        "one finite",
+    ),
+    "a NaN": ({"descriptor": lambda at, frames: np.full((len(frames), 3), np.nan)}, ValueError, "not finite"),
+    "a pair of rows": ({"matcher": lambda base, target: (np.arange(3), np.arange(3))}, TypeError, "Matches"),
+}
+
+
+@pytest.mark.parametrize("what", PARTS)
+def test_a_part_that_returns_something_else_than_its_protocol_says_is_named(base_map, what):
+    parts, kind, said = PARTS[what]
+    with pytest.raises(kind, match=said):
+        register(base_map, base_map, **parts)
+
+
+def test_a_detector_may_say_which_rows_by_a_mask(base_map):
+    rows = np.arange(0, len(infer(base_map)), 7)
+    mask = np.isin(np.arange(len(infer(base_map))), rows)
+    by_rows, by_mask = (register(base_map, base_map, detector=lambda at, one=one: one) for one in (rows, mask))
+    np.testing.assert_array_equal(by_rows.base.positions, by_mask.base.positions)

@@ -7,6 +7,7 @@ is held as that of ``v = L^-1 f_U``, ``K_U = L L^T``, whose prior is N(0, I): th
 rounding does not grow with the condition of ``K_U``.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +18,11 @@ from magmatch.field.inducing.gaussian_grid import GaussianGrid, chunks, rows_as_
 from magmatch.field.inducing.inducing_model import InducingPosterior, dense_prior, gram_factor
 from magmatch.field.inducing.inducing_prior import JITTER
 from magmatch.field.inducing.kernels import N_ROWS, DivergenceFreeKernel, Kernel
+from magmatch.field.linear_model import Index
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
 from magmatch.progress import tell
-from magmatch.typing import Matrix, Points, Vectors
+from magmatch.typing import Matrix, Points, Scalars, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,6 +133,12 @@ class RecursivePosterior(InducingPosterior):
 
     belief: RecursiveField
 
+    @property
+    def weights_by_tile(self) -> Mapping[Index, Scalars]:
+        """None: a map that is loaded or grown is fitted at once, which is another posterior."""
+        msg = "a map inferred by the recursion can be neither saved nor grown: do so with the map it was made of"
+        raise ConfigurationError(msg)
+
     def covariance(self, points: Points, order: int = 0) -> np.ndarray:
         """Posterior covariance of field (and gradient) at each point; 0 far from the inducing points (SoR)."""
         k = N_ROWS[order]
@@ -150,7 +158,7 @@ def recursively(field_map: FieldMap) -> FieldMap:
     Returns
     -------
     FieldMap
-        Of the same samples. It takes minutes where `build_map` takes seconds.
+        Of the same samples, which can be neither saved nor grown. It takes minutes where `build_map` takes seconds.
 
     Raises
     ------

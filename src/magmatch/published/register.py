@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.arguments import expect_kind, whole_number_of
+from magmatch.arguments import expect_kind, rows_chosen, whole_number_of
 from magmatch.data.checks import ADVICE
 from magmatch.data.survey import Survey
 from magmatch.features.config import FeatureConfig
@@ -119,7 +119,7 @@ def register(
     Parameters
     ----------
     base, target : Survey or FieldMap
-        Surveys are mapped with the published prior.
+        Surveys are mapped with the published prior (`FIELD`); maps are used as they are, whatever their prior.
     detector, descriptor, matcher : callables, optional
         In place of `detect`, `describe` and `match`: `Detector`, `Descriptor`, `Matcher`.
     config : PublishedConfig, optional
@@ -131,6 +131,12 @@ def register(
     -------
     Published
         Keypoints, matches, candidates, and whether the best of them is accepted.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A part of your own returns something else than its protocol says: rows that X* does not have, a descriptor
+        that is not finite, or not one row a keypoint.
 
     Notes
     -----
@@ -154,9 +160,10 @@ def register(
     matcher = matcher or partial(match, config=config.matching)
 
     at = [infer(one, config.features) for one in (base_map, target_map)]
-    frames = [local_frames(one, detector(one), config.features) for one in at]
-    descriptors = [descriptor(one, some) for one, some in zip(at, frames, strict=True)]
+    frames = [local_frames(one, _rows_of(detector(one), one), config.features) for one in at]
+    descriptors = [_described(descriptor(one, some), some) for one, some in zip(at, frames, strict=True)]
     matches = matcher(*descriptors)
+    expect_kind(matches, "matcher", (Matches,), "return magmatch.published.Matches")
     base_features, target_features = (features_of(*parts) for parts in zip(at, frames, descriptors, strict=True))
     log.info("%d and %d keypoints, %d matches", len(base_features), len(target_features), len(matches))
     found = consensus(base_features, target_features, matches, at[0].spacing, config.consensus, seed)
@@ -164,8 +171,22 @@ def register(
     return Published(base_features, target_features, matches, tuple(found), check, config)
 
 
-def comparable(base_map: FieldMap, target_map: FieldMap, config: PublishedConfig) -> PublishedConfig:
-    """Settings with one spacing and one range for both maps, on which descriptors depend."""
+def comparable(base_map: FieldMap, target_map: FieldMap, config: PublishedConfig | None = None) -> PublishedConfig:
+    """Settings with one spacing and one range for both maps, on which descriptors depend.
+
+    Parameters
+    ----------
+    base_map, target_map : FieldMap
+    config : PublishedConfig, optional
+        Settings of the published parts.
+
+    Returns
+    -------
+    PublishedConfig
+        Its ``features`` are what `infer` and `local_frames` of both maps, and `describe` (its ``component_range``),
+        are to be given.
+    """
+    config = config or PublishedConfig()
     features: FeatureConfig = config.features
     maps = base_map, target_map
     spacing = max(grid_spacing(one, features) for one in maps)
@@ -176,3 +197,19 @@ def comparable(base_map: FieldMap, target_map: FieldMap, config: PublishedConfig
 
 def _as_map(side: Survey | FieldMap) -> FieldMap:
     return side if isinstance(side, FieldMap) else build_map(side, FIELD)
+
+
+def _rows_of(keypoints: Indices, at: Inferred) -> Indices:
+    """Rows of X* that a detector chose: as given, or where its mask is true."""
+    rows = rows_chosen(keypoints, len(at))
+    return np.flatnonzero(rows) if rows.dtype == np.bool_ else rows
+
+
+def _described(rows: Matrix, frames: LocalFrames) -> Matrix:
+    """Descriptors, if they are one finite row a keypoint."""
+    found = np.asarray(rows, dtype=np.float64)
+    if found.ndim != 2 or len(found) != len(frames) or not np.isfinite(found).all():
+        what = "rows that are not finite" if found.shape[:1] == (len(frames),) else f"shape {found.shape}"
+        msg = f"descriptor: expected one finite row for each of {len(frames)} keypoints, got {what}"
+        raise ValueError(msg)
+    return found

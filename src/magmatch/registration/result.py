@@ -181,7 +181,8 @@ class RegistrationResult(TypedDocument):
     residual : float or None
         Normalised rms field residual over the overlap (1 if model and noise explain everything).
     fitness : float or None
-        Mean norm of the cross product of aligned vectors (normalised as the configuration says).
+        Of the published method: mean norm of the cross product of aligned vectors, over the mean product of their
+        norms. Preset ``paper-literal`` decides by the former alone, which ``reason`` states.
     n_inliers, n_keypoints, n_correspondences : int
         Counts; ``keypoints`` of both maps together.
     seconds : dict

@@ -17,6 +17,7 @@ from magmatch.errors import ConfigurationError
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
     from magmatch.field.map import FieldMap
+    from magmatch.published.config import PublishedConfig
     from magmatch.registration.result import RegistrationResult
 
 EXAMPLES = (
@@ -80,13 +81,24 @@ def view(
             write_view(goal, drawn)
         else:
             base, target = drawn or (None, None)
-            write_report(goal, base, target, result)
+            write_report(goal, base, target, result, published=_published_settings(result))
         put(str(goal))
     if rerun is not None:
         from magmatch.viz.rerun_recording import scene_of, write_rerun
 
         write_rerun(rerun, scene_of(drawn, result))
         put(str(rerun))
+
+
+def _published_settings(result: "RegistrationResult") -> "PublishedConfig | None":
+    """Settings of the published method, if the result is its."""
+    from magmatch.registration.config import RegistrationConfig
+
+    try:
+        settings = RegistrationConfig.model_validate(result.config)
+    except ValidationError:
+        return None  # of another version
+    return settings.keypoints if settings.search == "keypoints" else None
 
 
 def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
