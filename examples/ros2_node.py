@@ -59,19 +59,19 @@ class Follower:
     def take_odometry(self, message):
         """Pose and transform at the last of the readings that odometry has passed; None where they are not sure."""
         p, q = message.pose.pose.position, message.pose.pose.orientation
-        R = Rotation.from_quat([q.x, q.y, q.z, q.w])
-        now = seconds(message), RigidTransform.from_components([p.x, p.y, p.z], R)
-        (t0, T0), self.last, made = self.last or now, now, None
-        while self.fields and seconds(self.fields[0]) <= now[0]:
+        T1 = RigidTransform.from_components([p.x, p.y, p.z], Rotation.from_quat([q.x, q.y, q.z, q.w]))
+        (t0, T0), t1, made = self.last or (seconds(message), T1), seconds(message), None
+        T0 = T1 if np.linalg.norm(T0.translation - T1.translation) > 5 else T0  # odometry began anew: no motion
+        self.last = t1, T1
+        while self.fields and seconds(self.fields[0]) <= t1:
             field = self.fields.popleft()
-            if t0 <= (t := seconds(field)) and t0 < now[0]:
-                step = (T0.inv() * now[1]).as_exp_coords() * (t - t0) / (now[0] - t0)
+            if t0 <= (t := seconds(field)) and t0 < t1:
+                step = (T0.inv() * T1).as_exp_coords() * (t - t0) / (t1 - t0)
                 made = self._follow(field, t, T0 * RigidTransform.from_exp_coords(step), message.header.frame_id)
         return made
 
     def _follow(self, field, t, T_odom_body, odom_frame):
-        b = field.magnetic_field
-        T_map_body, C = None, None
+        b, T_map_body, C = field.magnetic_field, None, None
         with suppress(ValueError):  # NaN, a clock that runs backward, a jump: the next one may be good
             T_map_body, C = self.source.follow(t, T_odom_body, np.array([b.x, b.y, b.z]))
         if T_map_body is None:

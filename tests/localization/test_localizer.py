@@ -231,6 +231,36 @@ def test_a_body_whose_odometry_slips_out_of_the_map_is_found_in_it_again(place, 
     assert FOUND_ELSEWHERE in [e.reason for e in live.estimates]
 
 
+def test_who_stops_where_it_is_found_elsewhere_is_lost_for_one_sample(place, slipped):
+    log, _ = slipped
+    localizer, R = mm.Localizer(place), log.orientations
+    poses, field = RigidTransform.from_components(log.positions, R), R.inv().apply(log.field)
+    for n in range(len(log)):
+        localizer.update(log.times[n], poses[n], field[n])
+        if localizer.estimate().reason == FOUND_ELSEWHERE:
+            break
+    assert localizer.estimate().status == "lost"
+    # It stands: no bin is completed.
+    localizer.update(log.times[n] + 0.1, poses[n], field[n])
+    assert localizer.estimate().is_stated
+
+
+def test_outside_the_map_odometry_is_taken_to_drift_no_less_than_stated(place):
+    """Of how it drifts there, a path inside by good odometry tells nothing."""
+    log, _ = drifting_walk(Place(1), 27, laps=1.5, start=1.0, turn=0.1, scale=0.001)
+    localizer, R = mm.Localizer(place), log.orientations
+    assert (inside := feed(localizer, log)[-1]).drift < 0.5
+    for n in range(1, 120):
+        T = RigidTransform.from_components(log.positions[-1], R[-1]) * RigidTransform.from_translation(
+            [0, -0.1 * n, 0]
+        )
+        localizer.update(log.times[-1] + 0.1 * n, T, R[-1].inv().apply(log.field[-1]))
+        if (now := localizer.estimate()).status == "dead_reckoning":
+            assert now.drift >= 1 > inside.drift
+            return
+    pytest.fail("it never left the map")
+
+
 BAD = {
     "NaN in the field": (1e9, RigidTransform.identity(), [np.nan, 0, 0], ValueError, "finite"),
     "a field in uT": (1e9, RigidTransform.identity(), [20.0, 0, -45.0], ValueError, "1e-6"),

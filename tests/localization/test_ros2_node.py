@@ -2,7 +2,9 @@
 """The example's pure part, on messages as rosbags makes them; rclpy itself is not needed."""
 
 import importlib.util
+from collections import deque
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -165,3 +167,21 @@ def test_no_old_pose_is_given_for_a_bad_reading(node, kinds, way, request):
     follower.fields.append(reading(kinds, t, [np.nan, 0, 0]))
     moved = T * RigidTransform.from_translation([0.1, 0, 0])
     assert follower.take_odometry(odometry(kinds, t + 0.01, moved)) is None
+
+
+def test_odometry_that_begins_anew_between_two_messages_moves_nobody(node, kinds, place):
+    """Ten readings come between two poses: none of them lies on a way between the old frame and the new one."""
+    log, _ = drifting_walk(Place(1), 2, laps=0.7, start=2.0)
+    seen = []
+    source = SimpleNamespace(follow=lambda t, T, field: (seen.append(T.translation), (None, None))[1])
+    follower = node.Follower(source, kinds)
+    R = log.orientations
+    for n, shift in ((0, 0.0), (10, 0.0), (20, 30.0)):
+        for k in range(10):
+            follower.fields.append(reading(kinds, log.times[n] - 0.01 * k, log.field[n]))
+        follower.fields = deque(sorted(follower.fields, key=node.seconds))
+        T = RigidTransform.from_components(log.positions[n] + [shift, 0, 0], R[n])
+        follower.take_odometry(odometry(kinds, log.times[n] + 1e-4, T))
+    x = np.array(seen)[:, 0]
+    assert not ((x > 10) & (x < 20)).any()
+    assert (x > 20).any()

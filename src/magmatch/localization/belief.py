@@ -237,7 +237,10 @@ class Belief:
             words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
             return PoseEstimate(status, words, probability=self._found.best, is_place_known=stands)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
-        said = stated(self._bank[:1].copy(), last, T, self._known, self._model, factor)[0]
+        likely = self._bank[: len(self._weighed[0].rows)]
+        # Outside the map nothing tells how odometry drifts: that it does so less than stated was learned inside.
+        row = 0 if self.is_inside else int(np.argmax(likely["drift"] >= 1))
+        said = stated(likely[row : row + 1].copy(), last, T, self._known, self._model, factor)[0]
         return PoseEstimate(
             LocalizerStatus.LOCALIZED if self.is_inside else LocalizerStatus.DEAD_RECKONING,
             self._words if self.is_inside else f"{self._words}, outside what the map knows",

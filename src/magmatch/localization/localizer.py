@@ -43,7 +43,7 @@ class Localizer:
         # While a trusted place is outside its map, nothing puts it to the test: the path since may be that of a body
         # that is in the map elsewhere, and is looked for as if the log began there.
         self._anew: LikelyMaps | None = None
-        self._is_refuted = False  # the place trusted up to the last bin
+        self._is_refuted = False  # the place trusted up to this sample
         self._samples = LastSample()
         self._binning = Binning(self._maps.bin_length)
 
@@ -75,10 +75,10 @@ class Localizer:
         self._follow(self._samples.take_row(row), may_search=may_search)
 
     def _follow(self, sample: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
+        self._is_refuted = False
         new = self._binning.add(sample)
         if new is None:
             return
-        self._is_refuted = False
         self._maps.take(new, may_search)
         if not self._maps.is_outside:
             self._anew = None
