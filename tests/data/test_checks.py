@@ -214,6 +214,54 @@ def test_a_jump_of_the_odometry_is_said_and_a_gap_is_none():
     assert not [w for w in [*check_survey(walk), *check_survey(paused)] if "jump" in w]
 
 
+def walked(n=1000, digit=0.0, seed=0):
+    """A walk round a room whose field varies over a metre, by a sensor with noise and maybe coarse digits."""
+    angle = np.linspace(0, 4 * np.pi, n)
+    path = np.column_stack([4 * np.cos(angle), 3 * np.sin(angle), 0.1 * np.sin(3 * angle)])
+    field = np.array([2e-5, 0.0, -4e-5]) + 4e-6 * np.sin(path @ [[1.0, 2.0, 0.5], [2.0, 1.0, 1.5], [0, 1.0, 2.0]])
+    field += np.random.default_rng(seed).normal(0, 1e-7, (n, 3))
+    return Survey(path, np.round(field / digit) * digit if digit else field, times=0.02 * np.arange(n))
+
+
+def stuck(survey, first, last):
+    """The survey with one reading held from a sample to another."""
+    held = np.arange(len(survey))
+    held[first : last + 1] = first
+    return replace(survey, field=survey.field[held])
+
+
+@pytest.mark.parametrize("digit", [0.0, 2e-7])
+def test_a_sensor_that_hangs_while_it_moves_is_said(digit):
+    (said,) = check_survey(stuck(walked(digit=digit), 400, 440))
+    assert "the field reads the same from 8 to 8.8 s, over 1.8" in said.replace("8 s to", "8 to")
+    (said,) = check_survey(stuck(replace(walked(), times=None), 400, 440))
+    assert "from sample 400 to sample 440" in said
+
+
+@pytest.mark.parametrize("digit", [0.0, 1e-7, 1e-6, 5e-6, 2e-5])
+def test_coarse_digits_and_standing_still_are_no_sensor_that_hangs(digit):
+    survey = walked(3000, digit)
+    paused = survey.subset(np.repeat(np.arange(3000), 1 + 99 * (np.arange(3000) == 1500)))
+    paused = replace(paused, times=0.02 * np.arange(len(paused)))
+    held = replace(survey, field=np.repeat(survey.field[::25], 25, axis=0))
+    for one in (survey, paused, held):
+        assert not [said for said in check_survey(one) if "hang" in said]
+
+
+def test_odometry_that_restarts_is_said():
+    survey = walked()
+    after = np.arange(1000) >= 600
+    shift = survey.positions[0] - survey.positions[600]
+    positions = survey.positions + after[:, None] * shift
+    positions[600] = positions[0]
+    restarted = replace(survey, positions=positions, times=survey.times + 3.0 * after)
+    said = [words for words in check_survey(restarted) if "position" in words]
+    assert len(said) == 1
+    assert "jumps to exactly the first one at 15 s: was odometry restarted there?" in said[0]
+    lap = replace(survey, positions=np.vstack([survey.positions[:-1], survey.positions[:1]]))
+    assert check_survey(lap) == []
+
+
 def test_a_sensor_that_always_reads_the_same_is_said(room):
     warnings = check_survey(replace(room, field=room.orientations.apply([2e-5, 0.0, 4e-5])))
     assert any("constant in the sensor's axes (varies less than 1 nT): nothing tells" in one for one in warnings)

@@ -140,6 +140,21 @@ def test_a_constant_stands_for_a_column(door, text, z):
         door(own, {})
 
 
+@pytest.mark.parametrize("first", ["t", "Time [s]", "id", "", "latitude"])
+def test_a_whole_number_is_no_column_of_something_else(first, tmp_path):
+    path = write(tmp_path / "s.csv", f"{first},x,y,bx,by,bz", np.delete(ROWS, 3, axis=1))
+    with pytest.raises(DataFormatError, match=r"found that column 1 is '.*'; a constant of 1 is z=1\.0"):
+        read(path, "z=1")
+    np.testing.assert_array_equal(read(path, "z=1.0").positions[:, 2], 1.0)
+    np.testing.assert_array_equal(read(path, "z=2,x=3,y=2.0").positions[:, 2], XYZ[:, 0])
+
+
+def test_a_number_that_counts_no_column_may_be_a_constant(door):
+    own = dict(zip(["x", "y", "bx", "by", "bz"], np.hstack([XYZ[:, :2], FIELD]).T, strict=True))
+    with pytest.raises(DataFormatError, match=r"expected a column '9' for z, .*; a constant of 9 is z=9\.0"):
+        door(own, {"z": "9"})
+
+
 @pytest.mark.parametrize("pair", ["bz=0", "t=0.5"])
 def test_what_is_measured_is_no_constant(pair, tmp_path):
     path = write(tmp_path / "s.csv", "x,y,z,bx,by", np.hstack([XYZ, FIELD[:, :2]]))
@@ -265,6 +280,13 @@ def test_numbers_that_are_no_degrees_are_refused(tmp_path):
     path = write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", GLOBE * [1e7, 1e7, 1, 1, 1, 1])
     with pytest.raises(DataFormatError, match="found a latitude of 4"):
         read(path)
+
+
+def test_radians_are_told_and_degrees_are_not(tmp_path, caplog):
+    read(write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", GLOBE))
+    assert "at sea" not in caplog.text
+    read(write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", np.column_stack([np.radians(GLOBE[:, :2]), GLOBE[:, 2:]])))
+    assert "found places at sea, such as 0.8395" in caplog.text
 
 
 @pytest.mark.parametrize("origin", ["48.1", "here", "48.1,11.5,0,0", "95,11", "48.1,nan"])

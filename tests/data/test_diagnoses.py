@@ -136,6 +136,18 @@ def test_a_sensor_that_keeps_its_attitude_and_a_field_that_is_constant_are_told_
     assert diagnose(replace(survey, field=np.tile(EARTH, (len(survey), 1)))) == []
 
 
+@pytest.mark.parametrize("latitude", [48.1, -33.9])
+def test_a_field_in_north_east_down_is_told_where_the_latitude_is_known(latitude):
+    s = replace(walk(), frame=f"east, north, up of {latitude},11.5", orientations=None)
+    right = replace(s, field=s.field * [1, 1, 1 if latitude > 0 else -1])
+    ned = replace(right, field=right.field[:, [1, 0, 2]] * [1, 1, -1])
+    assert diagnose(right) == []
+    (told,) = diagnose(ned)
+    assert "--columns bx=by,by=bx,bz=-bz" in told.remedy
+    assert diagnose(replace(ned, frame="survey")) == []
+    assert diagnose(replace(ned, frame="east, north, up of 5.0,11.5")) == []
+
+
 def test_one_warning_names_all_surveys_of_its_kind(caplog):
     wrong = MISTAKES["readings in the sensor's axes"][0](walk())
     with caplog.at_level(logging.WARNING, logger="magmatch"):

@@ -11,13 +11,13 @@ from magmatch.arguments import expect_kind
 from magmatch.data.dataframes import SINCE_1970
 from magmatch.data.diagnoses import constant_field, diagnose
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.sensor_axes import FEW, RESOLVED, doubt_axes, find_repeats, sensor_readings
+from magmatch.data.sensor_axes import FEW, HALF, LONG, RESOLVED, doubt_axes, find_repeats, sensor_readings
 from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import GLOBAL_FRAME, origin_of
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError, in_short
 from magmatch.number_text import many, told
-from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +32,7 @@ MAX_EXTENT = 100e3  # m; farther apart is no place that one survey covers
 ODD_EXTENT = (0.01, 1e3)  # m; outside, millimetres, degrees or projected coordinates are likelier
 ODD_SPEED = 50.0  # m/s, median along the samples
 JUMP = 20.0  # median steps: one that is longer, and faster than that, is no step
+USUAL_HOLD = 0.99  # of readings, counted once each, this share are held no longer than is usual
 FLAT = 1e-3  # m, and the same as a fraction of the longest axis: no wider than this is a plane or a line
 DAY, FASTEST = 86_400.0, 1e-4  # s; no survey magnetometer samples so fast
 # Share of a number by which seconds that were made of it, and back, may differ.
@@ -234,8 +235,24 @@ def jumps(survey: Survey) -> Indices:
     return np.flatnonzero((_speeds(survey) > ODD_SPEED) & (steps > JUMP * np.median(steps[steps > 0])))
 
 
+def _restarts(survey: Survey) -> Indices:
+    """Samples after which the position jumps to that of the first one, exactly, and goes on from there."""
+    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
+    if survey.times is None or not steps.any():
+        return np.zeros(0, np.int64)
+    is_far = steps > JUMP * np.median(steps[steps > 0])
+    is_back = (survey.positions[1:] == survey.positions[0]).all(axis=1)
+    return np.flatnonzero(is_far & is_back & ~np.append(is_far[1:], False))
+
+
 def _doubt_jumps(survey: Survey) -> Iterator[str]:
-    rows = jumps(survey)
+    again = _restarts(survey)
+    if len(again):
+        assert survey.times is not None
+        at = f"{told(survey.times[again[0] + 1])} s" + (f", and {len(again) - 1} more" if len(again) > 1 else "")
+        said = f"the position jumps to exactly the first one at {at}"
+        yield f"{said}: was odometry restarted there? Give each part as a log of its own"
+    rows = np.setdiff1d(jumps(survey), again)
     if len(rows):
         assert survey.times is not None
         steps = np.linalg.norm(survey.positions[rows + 1] - survey.positions[rows], axis=1)
@@ -270,10 +287,37 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
         yield f"{share} of the samples repeat the position before them: at rest, or a pose rate below the field's?"
     # Of a sensor that turns, readings that are held are turned with it.
     readings = sensor_readings(survey)
-    n_stuck = int((find_repeats(survey.field) | find_repeats(readings)).sum())
-    if 0.05 * n < n_stuck < n:
+    is_repeat = find_repeats(survey.field) | find_repeats(readings)
+    n_stuck = int(is_repeat.sum())
+    if words := _stuck_while_moving(survey, is_repeat):
+        yield words
+    elif 0.05 * n < n_stuck < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
     yield from _doubt_turns(survey.positions, readings)
+
+
+def _stuck_while_moving(survey: Survey, is_repeat: Mask) -> str:
+    """Name the longest stretch in which the field stands still and the body moves; nothing if there is none.
+
+    There a reading is held far longer than is usual, and the next one is farther from it than neighbours are: of a
+    sensor with coarse digits, it would be the next digit.
+    """
+    starts = np.flatnonzero(~is_repeat)
+    ends = np.append(starts[1:], len(survey))  # one past each run
+    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
+    walked = np.append(0.0, np.cumsum(steps))
+    leaps = np.append(np.linalg.norm(survey.field[ends[:-1]] - survey.field[ends[:-1] - 1], axis=1), np.inf)
+    lengths, ways = ends - starts, walked[ends - 1] - walked[starts]
+    is_stuck = lengths >= LONG * np.quantile(lengths, USUAL_HOLD)
+    is_stuck &= (leaps > np.median(leaps)) & (ways > HALF * lengths * np.median(steps)) & (ways > 0)
+    if not is_stuck.any():
+        return ""
+    k = int((lengths * is_stuck).argmax())
+    rows, times = (int(starts[k]), int(ends[k]) - 1), survey.times
+    first, last = (f"sample {row}" if times is None else f"{told(times[row])} s" for row in rows)
+    more = f", and in {is_stuck.sum() - 1} more stretches" if is_stuck.sum() > 1 else ""
+    said = f"the field reads the same from {first} to {last}, over {ways[k]:.3g} m of the way{more}"
+    return f"{said}: did the sensor hang? Leave these samples out, as magmatch prepare does"
 
 
 def _doubt_turns(positions: Points, readings: Vectors) -> Iterator[str]:

@@ -27,8 +27,10 @@ from magmatch.data.frame_mistakes import (
     mistake_made,
     named,
 )
+from magmatch.data.geodesy import Origin
 from magmatch.data.sensor_axes import FEW, HALF, RESOLVED
 from magmatch.data.survey import Survey, has_order
+from magmatch.data.survey_columns import origin_of
 from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
 from magmatch.errors import in_short
 from magmatch.geometry import path_walked
@@ -43,6 +45,8 @@ MOST_WAYS = 4
 
 # Deg; indoors steel bends a place's mean field by some tens of them.
 PLAUSIBLE_BEND = 35.0
+# Deg of latitude beyond which the Earth's field points down in the north and up in the south, all around the globe.
+SURE_LATITUDE = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +54,7 @@ class Diagnosis:
     """One error of a survey."""
 
     # ``field frame``, ``orientations``, ``axes``, ``two frames``, ``heading``, ``turning``, ``vertical``,
-    # ``clocks`` or ``magnitude``
+    # ``clocks``, ``latitude`` or ``magnitude``
     kind: str
     measured: str  # the evidence for it, and what to do
     remedy: str
@@ -61,7 +65,8 @@ class Diagnosis:
     @property
     def is_of_frames(self) -> bool:
         """Whether vectors are in a wrong frame, which no calibration of the sensor corrects."""
-        return self.kind not in {"magnitude", "clocks"}
+        # Hard iron may turn a field upside down, too.
+        return self.kind not in {"magnitude", "clocks", "latitude"}
 
 
 # Mistakes that the field shows, by what undoes them: kind, how vectors read where it was made, remedy.
@@ -84,7 +89,8 @@ MISTAKES = {
 
 def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
     """List the errors of a survey's frames and units; it passes `require_survey`, and was read in that unit."""
-    return [*_of_magnitude(survey, unit), *_of_frames(survey)]
+    # An offset of the sensor may point anywhere, and a wrong frame up or down.
+    return [*_of_magnitude(survey, unit), *_of_frames(survey)] or [*_of_latitude(survey)]
 
 
 def constant_field(survey: Survey) -> str:
@@ -133,6 +139,20 @@ def _of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
             remedy = f"if the file is in {likely}, use --field-unit {likely}; else the sensor has an offset"
         measured = f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT)"
         yield Diagnosis("magnitude", measured, remedy)
+
+
+def _of_latitude(survey: Survey) -> Iterator[Diagnosis]:
+    """Diagnose a field that points up where the Earth's points down, or down where it points up."""
+    if (origin := origin_of(survey.frame)) is None:
+        return
+    latitude, dip = Origin.of(origin).latitude_deg, inclination_deg(survey.field.mean(axis=0))
+    if abs(latitude) > SURE_LATITUDE and -dip * np.sign(latitude) > PLAUSIBLE_BEND:
+        ways = ("down", "up") if latitude > 0 else ("up", "down")
+        measured = (
+            f"the field points {ways[1]} by {abs(dip):.0f} deg, expected {ways[0]} at a latitude of {latitude:.0f}"
+        )
+        remedy = "vectors in axes north, east, down? --columns bx=by,by=bx,bz=-bz makes them east, north, up"
+        yield Diagnosis("latitude", measured, remedy)
 
 
 def _of_frames(survey: Survey) -> Iterator[Diagnosis]:

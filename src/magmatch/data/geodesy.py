@@ -61,6 +61,11 @@ def what_is_wrong(latitudes_deg: Scalars, longitudes_deg: Scalars) -> str:
     return ""
 
 
+def look_like_radians(latitudes: Scalars, longitudes: Scalars) -> bool:
+    """Whether numbers are in radians: as degrees, all lie in the Gulf of Guinea, where no land is."""
+    return bool((np.abs(latitudes) <= np.pi / 2).all() and (np.abs(longitudes) <= np.pi).all())
+
+
 def local_east_north(latitudes_deg: Scalars, longitudes_deg: Scalars, origin: Origin) -> Matrix:
     """Places on the ground, of any height, as metres east and north of the origin: (n, 2)."""
     at = np.full(len(latitudes_deg), origin.altitude)

@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from magmatch.arguments import found
-from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, what_is_wrong
+from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, look_like_radians, what_is_wrong
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import plain_text
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
@@ -39,6 +39,8 @@ GLOBAL_COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 # Of what a constant may be true: a walk on one height, a sensor that never turned. A field is measured.
 MAY_BE_CONSTANT = (*POSITION_COLUMNS, "alt", *QUATERNION)
+# Names of columns that count rows; that of an index in pandas is empty.
+COUNTERS = ("", "id", "index", "idx", "no", "nr", "num", "number", "row", "sample", "seq", "#")
 # Metadata of Parquet files, and first comment of older CSV files: the same two as JSON.
 SCHEMA = "magmatch.survey/1"
 FieldFrame = Literal["survey", "sensor"]
@@ -79,7 +81,10 @@ def choose_columns(
             msg = f"columns: expected a column of its own for {ours}, found '{text}' for {theirs[text]} too"
             raise ConfigurationError(msg)
     if missing := next((name for name in theirs if name not in there), None):
-        message = f"expected a column '{missing}' for {theirs[missing]}, found {listed(names)}"
+        ours = theirs[missing]
+        message = f"expected a column '{missing}' for {ours}, found {listed(names)}"
+        if missing.isdecimal() and ours in MAY_BE_CONSTANT:
+            message += f"; a constant of {missing} is {ours}={missing}.0"
         raise DataFormatError(path, message)
     chosen = theirs | _guessed([name for name in there if name not in theirs], stated, has_poses=has_poses)
     for name in chosen:
@@ -114,6 +119,20 @@ def constant_of(text: str) -> float | None:
 def column_numbers(stated: Mapping[str, str]) -> list[int]:
     """List the columns that are stated by number, counted from 1."""
     return [int(text) for text in stated.values() if text.isdecimal() and int(text)]
+
+
+def refuse_numbers_of_others(path: str | Path, names: Sequence[str], stated: Mapping[str, str]) -> None:
+    """Refuse a height of 1 m that counts a column, below a header that says that this one is no height.
+
+    Only times, counters and degrees are such: tables may lack them, so nobody would miss the column.
+    """
+    others = {*COUNTERS, *GLOBAL_COLUMNS["lat"], *GLOBAL_COLUMNS["lon"]}
+    for ours in stated.keys() & set(MAY_BE_CONSTANT):
+        text = stated[ours]
+        name = names[int(text) - 1] if text.isdecimal() and 1 <= int(text) <= len(names) else None
+        if name is not None and text not in names and (name in others or header_of([name]).names == ("t",)):
+            message = f"--columns {ours}={text}: expected a column of {ours}, found that column {text} is '{name}'"
+            raise DataFormatError(path, f"{message}; a constant of {text} is {ours}={text}.0")
 
 
 def position_columns(table: Table) -> tuple[str, str, str]:
@@ -164,6 +183,11 @@ def local_positions(table: Table, metre: float, stated: str | None) -> tuple[Poi
     lat, lon, height = table.columns["lat"], table.columns["lon"], table.columns[position_columns(table)[2]] * metre
     if wrong := what_is_wrong(lat, lon):
         raise DataFormatError(table.path, wrong, column="lat, lon")
+    if look_like_radians(lat, lon):
+        words = (
+            "%s: lat, lon: expected degrees, found places at sea, such as %.6g, %.6g: radians? Multiply them by %.7f"
+        )
+        logger.warning(words, table.path, lat[0], lon[0], np.degrees(1))
     is_altitude = table.has("alt")
     origin = Origin.of(stated) if stated else Origin.near(lat[0], lon[0], height[0] if is_altitude else 0.0)
     if not stated:

@@ -73,6 +73,26 @@ def test_a_choice_between_topics_is_said(made, flight, saved, caplog):
     assert "is read, not" not in caplog.text
 
 
+SETS_POSES = ["/goal_pose", "/mavros/setpoint_position/local", "/initialpose", "/Target/pose", "/waypoints"]
+
+
+@pytest.mark.parametrize("name", SETS_POSES)
+def test_goals_are_no_path_where_a_topic_or_tf_has_one(name, made, flight, saved, caplog):
+    mag, odom = flight.series
+    goals = made.replace(odom, type=POSE_TYPES["PoseStamped"], topic=name, values=odom.values[::-1])
+    slow = made.replace(odom, topic="/pose", log_ns=odom.log_ns[::2], stamp_ns=None, values=odom.values[::2])
+    tf = made.replace(odom, topic="/tf", type=TF, child="mag_link")
+    for path in (slow, tf):
+        expected = read_survey(saved(mag, path))
+        np.testing.assert_array_equal(read_survey(saved(mag, path, goals)).positions, expected.positions)
+    assert "goals or starts" not in caplog.text
+    asked = read_survey(saved(mag, slow, goals), SurveyFormat(pose_topic=name))
+    assert "goals or starts" not in caplog.text
+    alone = read_survey(saved(mag, goals))
+    np.testing.assert_array_equal(alone.positions, asked.positions)
+    assert f"{name} is read: expected the path of a body, found only what looks like goals or starts" in caplog.text
+
+
 def test_an_extrinsic_is_where_the_sensor_sits_on_the_body(made, flight, saved):
     mag, odom = flight.series
     survey = read_survey(saved(mag, odom), SurveyFormat(extrinsic="0.1 -0.2 0.3 0 0.6 0 0.8"))

@@ -158,7 +158,7 @@ def _require_own_poses(table: Table, hint: str) -> None:
     if not missing:
         hint = f"All three components of the field are needed, its magnitude alone will not do. {hint}"
     elif table.has(*FIELD_COLUMNS) and missing in (["z"], ["alt"]):
-        hint = "A survey on one height states it for all samples: --columns z=0"
+        hint = "A survey on one height states it for all samples: --columns z=0.0"
     elif table.has("t", *FIELD_COLUMNS) and len(missing) == len(names):
         hint = f"A log without positions takes them from a TUM file: --trajectory POSES.tum. {hint}"
     table.require([*names, *FIELD_COLUMNS], hint)

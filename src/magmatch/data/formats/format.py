@@ -38,7 +38,7 @@ class SurveyFormat(Settings):
     columns: str | None = Field(
         default=None,
         description="A table's columns: by name (x=pos_x,bx=mag_x,...), by number, counted from 1 (t=1,bx=2,...), or "
-        "one constant for all rows (z=0, z=1.20). A minus reverses a column (by=-mag_y); of a bag or a phone's log "
+        "one constant for all rows (z=0.0, z=1.20). A minus reverses a column (by=-mag_y); of a bag or a phone's log "
         "it reverses an axis (by=-by).",
     )
     rate: float | None = Field(default=None, gt=0, description="Samples per second of a table without times.")

@@ -15,6 +15,7 @@ from magmatch.data.survey_columns import (
     ChosenColumns,
     choose_columns,
     column_numbers,
+    refuse_numbers_of_others,
 )
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.table import Table, Wanted, read_table
@@ -36,6 +37,7 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
         words=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
+        check_numbered=lambda names: refuse_numbers_of_others(path, names, stated),
         decimal=layout.decimal or "",
         digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
         recover=layout.recover,

@@ -24,6 +24,8 @@ POSE_TYPES = (
     "geometry_msgs/TransformStamped",
     "geometry_msgs/PointStamped",
 )
+# What names say of poses that someone sets, for a body to go to or to start at: it is nowhere on the path between.
+SET_POSES = ("goal", "setpoint", "target", "waypoint", "initialpose", "initial_pose", "clicked_point")
 
 
 def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
@@ -31,15 +33,17 @@ def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tupl
 
     Names that are asked for overrule. Of all pairs of a field and a pose topic, the one with the most messages logged
     in the time that both cover (taken as evenly spread over each topic's own time); of equal ones the first by name.
-    Without poses: the field topic with the most messages. DataFormatError lists what there is.
+    Poses that someone sets, such as goals, are taken only where no other topic and no tf has poses. Without poses:
+    the field topic with the most messages. DataFormatError lists what there is.
     """
     moving = [] if layout.trajectory is not None else [topic for topic in trees(topics) if not is_static(topic)]
     is_elsewhere = layout.trajectory is not None or layout.pose_frames is not None
     if layout.pose_topic is not None:
         has_own = not any(is_named(topic, layout.pose_topic) and topic.type in TREES for topic in topics)
     else:
-        # A single pose is a goal or a start, not a path, and what cannot be decoded is none of either.
-        has_own = any(t.count > 1 and t.type in POSE_TYPES and t.encoding in ENCODINGS for t in topics)
+        has_own = any(
+            topic.type in POSE_TYPES and topic.encoding in ENCODINGS and may_be_path(topic) for topic in topics
+        )
     if has_own and not is_elsewhere:
         field, pose = _choose(path, topics, layout, needs_pose=True)
         # Goals may be set before the field is recorded.
@@ -58,11 +62,23 @@ def _choose(
     field, pose = min(fields, key=lambda topic: (-topic.count, topic.name)), None
     if needs_pose:
         poses = _candidates(path, topics, layout.pose_topic, POSE_TYPES, "pose")
-        pairs = sorted(itertools.product(fields, poses), key=lambda pair: (pair[0].name, pair[1].name))
+        paths = [topic for topic in poses if layout.pose_topic is not None or may_be_path(topic)]
+        pairs = sorted(itertools.product(fields, paths or poses), key=lambda pair: (pair[0].name, pair[1].name))
         field, pose = max(pairs, key=_shared)  # the first of equal ones
+        if not paths:
+            words = (
+                "%s: topic of poses: %s is read: expected the path of a body, found only what looks like goals or "
+                "starts; poses from elsewhere: --trajectory POSES.tum"
+            )
+            logger.warning(words, path, pose.name)
         _tell_choice(path, pose, poses, "of poses", "--pose-topic")
     _tell_choice(path, field, fields, "of the field", "--mag-topic")
     return field, pose
+
+
+def may_be_path(topic: Topic) -> bool:
+    """Whether poses may be the path of a body: a single one is a goal or a start, and so is what is named so."""
+    return topic.count > 1 and not any(word in topic.name.lower() for word in SET_POSES)
 
 
 def is_static(topic: Topic) -> bool:

@@ -96,6 +96,8 @@ class Wanted:
     # Picks the columns, {theirs: ours}, from the names there are, where names alone do not tell.
     choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None
     numbered: Sequence[int] = ()  # columns known by number, counted from 1, for which no header is needed
+    # Refuses numbers that the names of a header (lower case) contradict.
+    check_numbered: Callable[[Sequence[str]], None] = lambda _: None
     # Which mark is decimal, where the numbers leave that in doubt; "": not stated. None: there is no such choice.
     decimal: Decimal | Literal[""] | None = None
     # Columns that count units of 10**-digits, by our names, such as {"t": 9}; returned in whole units, rounded once.
@@ -153,7 +155,10 @@ def _names(path: str | Path, rows: Rows, wanted: Wanted) -> tuple[tuple[str, ...
         return tuple(wanted.names), False
     cells = [cell.lower() for cell in rows.header()]
     if wanted.numbered:
-        return numbered_names(cells, wanted.numbered)
+        names, is_header = numbered_names(cells, wanted.numbered)
+        if is_header:
+            wanted.check_numbered(cells)
+        return names, is_header
     return names_of(path, cells, rows.at[0] + 1, wanted.known, rows.comments, wanted.advise), True
 
 
