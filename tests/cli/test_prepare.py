@@ -78,6 +78,29 @@ def test_a_sensor_turned_about_is_a_known_one(logs, run, tmp_path):
     np.testing.assert_allclose(sensor["shift"], HARD_IRON, rtol=0, atol=1e-9)
 
 
+# A sensor turned about the vertical only; numbers in another unit; one at the end of its range.
+@pytest.mark.parametrize(
+    ("change", "code", "words_said"),
+    [
+        (lambda level, every: level, 0, "z not separable from the place's own field"),
+        (lambda level, every: every, 0, "turned.csv: hard iron x +"),
+        (lambda level, every: 10 * every, 0, "use --field-unit mG"),
+        (lambda level, every: 1e-6 * every, 2, "use --field-unit T"),
+        (lambda level, every: np.minimum(every, 30), 0, "z component is at the end of its range, 30 uT"),
+    ],
+)
+def test_what_a_turned_sensor_does_not_tell_is_said(change, code, words_said, logs, run, tmp_path):
+    rng = np.random.default_rng(1)
+    turns = Rotation.from_euler("z", rng.uniform(0, 360, (500, 1)), degrees=True), Rotation.random(500, rng=rng)
+    level, every = (1e6 * (turn.apply([2e-5, 0, -4e-5]) + HARD_IRON) + rng.normal(0, 0.3, (500, 3)) for turn in turns)
+    np.savetxt(tmp_path / "turned.csv", change(level, every), delimiter=",", header="bx,by,bz", comments="")
+    (tmp_path / "off.yaml").write_text(json.dumps(OFF))
+    more = ("--out", tmp_path / "s.csv", "--sensor-from", tmp_path / "turned.csv", "--config", tmp_path / "off.yaml")
+    outcome = run(*words(logs, *more))
+    assert outcome.code == code
+    assert words_said in " ".join(outcome.err.split())
+
+
 def write_log(path, survey, amps):
     """Field and poses of a survey as MCAP, with a topic of a current beside them."""
     from mcap.writer import Writer
@@ -136,7 +159,7 @@ def test_a_current_of_a_bag_is_flagged_where_the_field_follows_it(amplitude, run
         (["--config", "wrong.yaml"], "did you mean 'hard_iron'"),
         (["--config", "high.yaml"], "time_offset.largest"),
         (["--sensor-from", "other.json"], "magmatch.preparation/1"),
-        (["--sensor-from", "few.csv"], "at least 50 readings"),
+        (["--sensor-from", "few.csv"], "at least 50 different readings"),
     ],
 )
 def test_mistakes_are_one_line_and_code_2(more, expected, logs, refused, tmp_path, monkeypatch):

@@ -90,7 +90,7 @@ MISTAKES = {
 def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
     """List the errors of a survey's frames and units; it passes `require_survey`, and was read in that unit."""
     # An offset of the sensor may point anywhere, and a wrong frame up or down.
-    return [*_of_magnitude(survey, unit), *_of_frames(survey)] or [*_of_latitude(survey)]
+    return [*of_magnitude(survey, unit), *_of_frames(survey)] or [*_of_latitude(survey)]
 
 
 def constant_field(survey: Survey) -> str:
@@ -130,7 +130,8 @@ def warn(surveys: Iterable[Survey]) -> list[Diagnosis]:
     return [one for _, one in found]
 
 
-def _of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
+def of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
+    """Whether a field, read in that unit, is of another size than near the Earth's surface."""
     median = float(np.median(np.linalg.norm(survey.field, axis=1)))
     if not ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
         likely = likely_field_unit(median / TESLA_PER_UNIT[unit])

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hard and soft iron of a sensor that was rotated in one place: its readings lie on an ellipsoid."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from magmatch.data.sensor_axes import find_stuck
+from magmatch.data.sensor_axes import find_repeats, find_stuck
 from magmatch.errors import SurveyError
 from magmatch.estimation.gauss_newton import student_weights
 from magmatch.preparation.least_squares import MEDIAN_TO_SD, MOST_STEPS, ParameterBlock, Solution, System
@@ -15,7 +17,7 @@ from magmatch.preparation.sensor_model import (
     why_no_field,
     why_no_sensor,
 )
-from magmatch.typing import Scalars, Vector3, Vectors
+from magmatch.typing import Matrix, Scalars, Vector3, Vectors
 
 FEWEST_READINGS = 50
 CONVERGED = 1e-10  # T
@@ -35,8 +37,8 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorCorrection, Solution]:
     Gauss-Newton on ``|(I + N) b - d| - r`` with Student weights; r, the local field strength, is free. N is symmetric
     without trace, since scale and strength cannot be told apart.
     """
-    if len(readings) < FEWEST_READINGS:
-        msg = f"expected at least {FEWEST_READINGS} readings of a sensor turned about, got {len(readings)}"
+    if (n_new := int((~find_repeats(readings)).sum())) < FEWEST_READINGS:
+        msg = f"expected at least {FEWEST_READINGS} different readings of a sensor turned about, got {n_new}"
         raise SurveyError(msg)
     center, weights = _sphere(readings)
     model = SensorCorrection(shift=center)
@@ -53,13 +55,29 @@ def fit_ellipsoid(readings: Vectors) -> tuple[SensorCorrection, Solution]:
             left = c * w[:, None]
             return left, np.asarray(c - (left.sum(axis=1) / w.sum())[:, None])
 
-        solution = System.of(y[:, None], blocks, project).solve(blocks)
+        by_noise = _noise_products(u, magnitude, readings, model, values, weights)
+        solution = System.of(y[:, None], blocks, project, by_noise).solve(blocks)
         before, values, model = model, dict(solution.estimate), model_of(solution.estimate, {})
         weights = student_weights((solution.free[:, 0] / solution.noise_sd) ** 2, 1)
         if np.abs(model.shift - before.shift).max() < CONVERGED:
             break
     _require_sensor(readings, model, solution)
     return model, solution
+
+
+def _noise_products(
+    u: Vectors, magnitude: Scalars, readings: Vectors, model: SensorCorrection, values: Mapping[str, np.ndarray],
+    weights: Scalars,
+) -> Matrix:  # fmt: skip
+    """What noise of variance 1 in the readings adds to the products of all columns and of y: (9, 9)."""
+    # du / db = (I - u u') M / |c|, by which the columns -u and u' B b change with the reading b.
+    turn = (np.eye(3) - u[:, :, None] * u[:, None, :]) @ model.matrix / magnitude[:, None, None]
+    along = np.einsum("kij,nj->kni", SOFT_IRON_BASIS, readings)
+    soft = np.einsum("kni,nij->knj", along, turn) + np.einsum("ni,kij->knj", u, SOFT_IRON_BASIS)
+    slopes = np.concatenate([-np.moveaxis(turn, 1, 0), soft])
+    of_y = u @ model.matrix - np.einsum("k,kni->ni", np.concatenate([*values.values()]), slopes)
+    slopes = np.concatenate([slopes, of_y[None]])
+    return np.asarray(np.einsum("n,kni,lni->kl", weights, slopes, slopes, optimize=True))
 
 
 def _sphere(readings: Vectors) -> tuple[Vector3, Scalars]:

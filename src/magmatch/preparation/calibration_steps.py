@@ -57,6 +57,30 @@ def known_sensor_step(sensor: SensorCorrection | None) -> StepReport:
     )
 
 
+def estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.ndarray) -> str:
+    """Estimates with their standard deviations, and which the data leave open."""
+    if name == "time_offset":
+        if is_open[0]:
+            return "not determined by the motion; rotate the sensor more, or walk back and forth"
+        return f"{1e3 * estimate[0]:+.2f} ms (sd {1e3 * sd[0]:.2f}) to be added to the magnetometer's times"
+    parts: tuple[str, ...] = SOFT_IRON_PARTS if name == "soft_iron" else AXES
+    per_unit, unit = {"soft_iron": (1e2, "%"), "misalignment": (180 / np.pi, "deg")}.get(name, (1e6, "uT"))
+    if name.startswith(CHANNEL):
+        unit = "uT per unit of the channel"
+    rows = list(zip(parts, per_unit * estimate, is_open, strict=True))
+    # Unknowns may be open one by one although a combination of them is known: that shows as a value.
+    known = [f"{part} {value:+.3g}" for part, value, hidden in rows if not hidden or abs(value) > NEGLIGIBLE]
+    hidden = ", ".join(part for part, _, flag in rows if flag)
+    prefix = "correction " if name == "soft_iron" else ""
+    sure = f" (sd up to {per_unit * sd[~is_open].max():.2g})" if not is_open.all() else ""
+    text = f"{prefix}{', '.join(known)} {unit}{sure}" if known else ""
+    if hidden:
+        text += (
+            f"{'; ' if text else ''}{hidden} not separable from the place's own field: the sensor turned too little"
+        )
+    return text
+
+
 def _held_out_step(calibration: CalibrationEstimate) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
     before, after = (value / TESLA_PER_UNIT["uT"] for value in calibration.held_out)
@@ -83,7 +107,7 @@ def _error_report(name: str, label: str, calibration: CalibrationEstimate) -> St
     solution = calibration.chosen if is_kept else calibration.full
     estimate, sd, is_open = solution.estimate[name], solution.sd[name], solution.is_open[name]
     outcome: Outcome = "applied" if is_kept else "unknown" if is_open.all() else "unchanged"
-    words = _estimate_text(name, estimate, sd, is_open)
+    words = estimate_text(name, estimate, sd, is_open)
     if name == "time_offset" and calibration.beyond is not None:
         outcome = "unknown"
         words = f"{1e3 * calibration.beyond:+.0f} ms would be more than was searched (time_offset.largest): none"
@@ -114,7 +138,7 @@ def _channel_report(
     is_open, spread = solution.is_open[name], float(values.std())
     estimate, sd = solution.estimate[name] / spread, solution.sd[name] / spread
     is_shown = solution.p_value[name] < config.significance
-    words = _estimate_text(name, estimate, sd, is_open) + ("" if is_shown else "; not shown")
+    words = estimate_text(name, estimate, sd, is_open) + ("" if is_shown else "; not shown")
     outcome: Outcome = ("applied" if is_removed else "flagged") if is_shown else "unchanged"
     after = calibration.inconsistency[1]
     before = calibration.without.get(name, after) if is_removed else after
@@ -123,27 +147,3 @@ def _channel_report(
     figures = {"estimate": estimate.tolist(), "sd": sd.tolist(), "p_value": solution.p_value[name]}
     before, after = (value / TESLA_PER_UNIT["uT"] for value in (before, after))
     return StepReport(name, outcome, words, before, after, "uT", figures)
-
-
-def _estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.ndarray) -> str:
-    """Estimates with their standard deviations, and which the data leave open."""
-    if name == "time_offset":
-        if is_open[0]:
-            return "not determined by the motion; rotate the sensor more, or walk back and forth"
-        return f"{1e3 * estimate[0]:+.2f} ms (sd {1e3 * sd[0]:.2f}) to be added to the magnetometer's times"
-    parts: tuple[str, ...] = SOFT_IRON_PARTS if name == "soft_iron" else AXES
-    per_unit, unit = {"soft_iron": (1e2, "%"), "misalignment": (180 / np.pi, "deg")}.get(name, (1e6, "uT"))
-    if name.startswith(CHANNEL):
-        unit = "uT per unit of the channel"
-    rows = list(zip(parts, per_unit * estimate, is_open, strict=True))
-    # Unknowns may be open one by one although a combination of them is known: that shows as a value.
-    known = [f"{part} {value:+.3g}" for part, value, hidden in rows if not hidden or abs(value) > NEGLIGIBLE]
-    hidden = ", ".join(part for part, _, flag in rows if flag)
-    prefix = "correction " if name == "soft_iron" else ""
-    sure = f" (sd up to {per_unit * sd[~is_open].max():.2g})" if not is_open.all() else ""
-    text = f"{prefix}{', '.join(known)} {unit}{sure}" if known else ""
-    if hidden:
-        text += (
-            f"{'; ' if text else ''}{hidden} not separable from the place's own field: the sensor turned too little"
-        )
-    return text

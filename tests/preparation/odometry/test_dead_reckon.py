@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Dead reckoning of made-up walks with known paths, and of real ones where they are present."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import magmatch.data
 from magmatch.data.formats.phones.phone_log import PhoneLog, Stream
+from magmatch.data.formats.phones.read import read_phone_log
 from magmatch.errors import DataFormatError, MissingExtraError
 from magmatch.preparation.odometry.dead_reckon import STEP_FREQUENCY, WEINBERG_FACTOR, dead_reckon, find_steps
 
 pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+MALL = Path(magmatch.data.__file__).parent / "samples/mall/walks"
 RATE, STEP_RATE, SWING, G = 100.0, 1.8, 2.5, 9.81
 SQUARE = [(10.0, 0.0), *((12.0 * k + r, 90.0 * k) for k in (1, 2, 3) for r in (0.0, 10.0))]
 
@@ -63,6 +67,15 @@ def test_the_path_does_not_depend_on_how_the_phone_is_tilted(pitch_deg):
     np.testing.assert_allclose(*apart, rtol=0.02)
     lengths = [np.linalg.norm(np.diff(p, axis=0), axis=1).sum() for p in paths]
     np.testing.assert_allclose(*lengths, rtol=0.01)
+
+
+def test_a_gyroscope_in_degrees_is_refused():
+    log = read_phone_log(MALL / "walk1.txt.gz", ("acceleration", "rate"))
+    rate = log.streams["rate"]
+    in_degrees = replace(log, streams={**log.streams, "rate": replace(rate, values=np.degrees(rate.values))})
+    with pytest.raises(DataFormatError, match=r"turns \d\d times as far as gravity .* expected rad/s"):
+        dead_reckon(in_degrees)
+    assert len(dead_reckon(log).steps)
 
 
 def test_orientations_take_the_phones_axes_to_a_frame_whose_z_is_up():

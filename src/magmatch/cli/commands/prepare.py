@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch prepare``: correct a raw log, with a report of everything that was done."""
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from magmatch.data.formats.format import SurveyFormat
     from magmatch.preparation.earth_field import Place
     from magmatch.preparation.sensor_model import SensorCorrection
+
+log = logging.getLogger(__name__)
 
 EXAMPLES = (
     "magmatch prepare log.csv --field-unit uT --field-frame sensor --trajectory poses.tum --out survey.csv",
@@ -113,11 +116,18 @@ def parse_place(place: str | None, day: str | None) -> "Place | None":
 
 def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorCorrection":
     """Known correction of the sensor, from a report or a recording made while rotating it."""
+    import numpy as np
+
+    from magmatch.data.checks import require_part
+    from magmatch.data.diagnoses import of_magnitude
     from magmatch.data.formats.table_columns import read_columns
+    from magmatch.data.sensor_axes import doubt_axes
+    from magmatch.data.survey import Survey
     from magmatch.data.survey_columns import FIELD_COLUMNS
     from magmatch.data.tables.text import read_bytes
     from magmatch.data.units import TESLA_PER_UNIT
     from magmatch.preparation.calibrate_in_place import fit_ellipsoid
+    from magmatch.preparation.calibration_steps import estimate_text
     from magmatch.preparation.preparation_report import PreparationReport
 
     if read_bytes(path, 64).lstrip()[:1] == b"{":
@@ -125,7 +135,20 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorCorrection":
     table, chosen = read_columns(path, layout)
     table = chosen.of(table)
     table.require(FIELD_COLUMNS, "A recording of a rotating sensor needs only these")
+    readings = table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit]
+    turned = Survey(np.zeros_like(readings), readings, name=str(path))
+    require_part(turned, layout)
     try:
-        return fit_ellipsoid(table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit])[0]
+        sensor, solution = fit_ellipsoid(readings)
     except SurveyError as error:
         raise DataFormatError(path, str(error)) from None
+    for doubt in (*of_magnitude(turned, layout.field_unit), *doubt_axes(turned)):
+        log.warning("%s: %s", path, doubt)
+    words = estimate_text(
+        "hard_iron", *(part["hard_iron"] for part in (solution.estimate, solution.sd, solution.is_open))
+    )
+    if solution.is_open["hard_iron"].any():
+        log.warning("%s: hard iron %s; turn it upside down, too", path, words)
+    else:
+        say(f"{path}: hard iron {words}")
+    return sensor

@@ -35,6 +35,11 @@ REST_BIAS_SD_DEG = 0.1
 RATE = 100.0
 # Relative standard deviations: of Weinberg's factor between people (8 %, AN-602), and of one step beside it.
 FACTOR_SD, STEP_SD = 0.08, 0.1
+# Gravity turns as the gyroscope does. Both are compared over this time, about a step (s): less shows the steps'
+# accelerations, more the gyroscope's drift. A walker's accelerometer tells gravity no better than this, rad.
+COMPARED_OVER, GRAVITY_SD = 0.5, 0.05
+# Turns that are this many times too large are nearer to deg/s than to rad/s.
+TOO_FAR = float(np.sqrt(180 / np.pi))
 WHAT_FOR = "dead reckoning"
 # Bounds of what is taken for one walk: s, readings a second, and the longest gap that is not worth a word (s).
 SPAN, SLOWEST, GAP = (2.0, 86_400.0), 15.0, 0.2
@@ -114,6 +119,7 @@ def dead_reckon(phone: PhoneLog, config: DeadReckoningConfig | None = None) -> O
     acceleration, rate = usable(phone)
     times, stop = _even_times(phone, (acceleration, rate))
     felt, turning = acceleration.at(times), rate.at(times)
+    _require_radians(phone, rate.source, turning, felt)
     orientations = attitude(turning, felt, RATE)
     steps = find_steps(orientations.apply(felt)[:, 2], RATE, config.step_scale).within(_pieces(times))
     if not len(steps):
@@ -144,6 +150,24 @@ def usable(phone: PhoneLog) -> tuple[Stream, Stream]:
             message = f"{stream.source}: {rate:.3g} readings a second, expected at least {SLOWEST:g} for {WHAT_FOR}"
             raise DataFormatError(phone.path, message)
     return streams
+
+
+def _require_radians(phone: PhoneLog, source: str, turning: Vectors, felt: Vectors) -> None:
+    """Refuse a gyroscope by which gravity would turn much further than the accelerometer shows."""
+    down = felt / np.maximum(np.linalg.norm(felt, axis=1, keepdims=True), 1e-9)
+    n = round(COMPARED_OVER * RATE)
+    starts = np.arange(0, len(down) - n + 1, n)
+    # A direction that stands still turns by -w x g in the phone's axes; the median is the gyroscope's bias.
+    turned = np.cross(down, turning - np.median(turning, axis=0)) * COMPARED_OVER
+    shown, expected = (np.add.reduceat(v[: len(starts) * n], starts) / n for v in (down, turned))
+    changes = np.diff(shown, axis=0), (expected[1:] + expected[:-1]) / 2
+    by_gravity, by_gyroscope = (float(np.sqrt((change**2).sum(axis=1).mean())) for change in changes)
+    if by_gyroscope > TOO_FAR * max(by_gravity, GRAVITY_SD):
+        message = (
+            f"{source}: turns {by_gyroscope / max(by_gravity, GRAVITY_SD):.0f} times as far as gravity does in the "
+            "accelerometer, expected rad/s; if it is in deg/s, multiply it by pi / 180"
+        )
+        raise DataFormatError(phone.path, message)
 
 
 def _even_times(phone: PhoneLog, streams: tuple[Stream, ...]) -> tuple[Scalars, float]:
