@@ -83,7 +83,7 @@ RUNS = (
     ),
     Run(
         ("slam-scenarios",),
-        "experiments/slam_scenarios.py --first 185540616 --seeds 8 --drifts 1 --minutes 27 --jobs {jobs} --out {out}",
+        "experiments/slam_scenarios.py --first 162440700 --seeds 8 --drifts 1 --minutes 27 --jobs {jobs} --out {out}",
         28,
     ),
     Run(
