@@ -123,6 +123,7 @@ PARTS = {
         ValueError,
         "one finite",
     ),
+    "one number each": ({"descriptor": lambda at, frames: np.ones(len(frames))}, ValueError, "got shape"),
     "a NaN": ({"descriptor": lambda at, frames: np.full((len(frames), 3), np.nan)}, ValueError, "not finite"),
     "a pair of rows": ({"matcher": lambda base, target: (np.arange(3), np.arange(3))}, TypeError, "Matches"),
 }

@@ -208,8 +208,9 @@ def _rows_of(keypoints: Indices, at: Inferred) -> Indices:
 def _described(rows: Matrix, frames: LocalFrames) -> Matrix:
     """Descriptors, if they are one finite row a keypoint."""
     found = np.asarray(rows, dtype=np.float64)
-    if found.ndim != 2 or len(found) != len(frames) or not np.isfinite(found).all():
-        what = "rows that are not finite" if found.shape[:1] == (len(frames),) else f"shape {found.shape}"
+    is_shaped = found.ndim == 2 and len(found) == len(frames)
+    if not is_shaped or not np.isfinite(found).all():
+        what = "rows that are not finite" if is_shaped else f"shape {found.shape}"
         msg = f"descriptor: expected one finite row for each of {len(frames)} keypoints, got {what}"
         raise ValueError(msg)
     return found
