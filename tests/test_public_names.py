@@ -6,6 +6,8 @@ import importlib
 import json
 import pkgutil
 import re
+import subprocess
+import sys
 import types
 from pathlib import Path
 
@@ -87,3 +89,21 @@ def test_nothing_private_of_another_package_is_imported():
             for name in names:
                 private = any(part.startswith("_") for part in name.split("."))
                 assert not private or name.startswith("magmatch"), (path, name)
+
+
+def test_dir_is_the_public_names():
+    assert dir(mm) == sorted(mm.__all__)
+    assert {"PRESETS", "MapIndex", "Hyperparameters", "SurveyError", "MagmatchError"} <= set(dir(mm))
+    for name in dir(mm):
+        assert getattr(mm, name) is not None
+
+
+def test_public_rooms_are_there_without_an_import_of_their_own():
+    code = "import magmatch as mm; print(mm.published, mm.simulation, mm.viz, mm.phones)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
+def test_importing_loads_nothing_heavy():
+    code = "import sys, magmatch; dir(magmatch); magmatch.SurveyError; print(*sorted(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numpy", "scipy", "numba", "pandas", "xarray", "plotly", "pydantic"} & set(loaded)

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The Python door is as careful as the command line: bad calls get one sentence, good ones the rows in order."""
 
-import subprocess
 import sys
 import traceback
 from dataclasses import replace
@@ -419,24 +418,3 @@ def test_view_draws_each_noun(survey, field_map, result):
     bare = mm.RegistrationResult(mm.Status.NO_OVERLAP, "no overlap", None)
     assert "view(result, base, target)" in is_refused(lambda: mm.view(bare))
     is_refused(lambda: mm.view(result, survey))
-
-
-# --- the names ----------------------------------------------------------------------------------------------------
-
-
-def test_dir_is_the_public_names():
-    assert dir(mm) == sorted(mm.__all__)
-    assert {"PRESETS", "MapIndex", "Hyperparameters", "SurveyError", "MagmatchError"} <= set(dir(mm))
-    for name in dir(mm):
-        assert getattr(mm, name) is not None
-
-
-def test_public_rooms_are_there_without_an_import_of_their_own():
-    code = "import magmatch as mm; print(mm.published, mm.simulation, mm.viz, mm.phones)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-
-
-def test_importing_loads_nothing_heavy():
-    code = "import sys, magmatch; dir(magmatch); magmatch.SurveyError; print(*sorted(sys.modules))"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not {"numpy", "scipy", "numba", "pandas", "xarray", "plotly", "pydantic"} & set(loaded)

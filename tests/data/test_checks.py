@@ -233,7 +233,7 @@ def stuck(survey, first, last):
 @pytest.mark.parametrize("digit", [0.0, 2e-7])
 def test_a_sensor_that_hangs_while_it_moves_is_said(digit):
     (said,) = check_survey(stuck(walked(digit=digit), 400, 440))
-    assert "the field reads the same from 8 to 8.8 s, over 1.8" in said.replace("8 s to", "8 to")
+    assert "the field reads the same from 8 s to 8.8 s, over 1.8" in said
     (said,) = check_survey(stuck(replace(walked(), times=None), 400, 440))
     assert "from sample 400 to sample 440" in said
 

@@ -251,9 +251,7 @@ def test_outside_the_map_odometry_is_taken_to_drift_no_less_than_stated(place):
     localizer, R = mm.Localizer(place), log.orientations
     assert (inside := feed(localizer, log)[-1]).drift < 0.5
     for n in range(1, 120):
-        T = RigidTransform.from_components(log.positions[-1], R[-1]) * RigidTransform.from_translation(
-            [0, -0.1 * n, 0]
-        )
+        T = RigidTransform.from_components(log.positions[-1] + R[-1].apply([0, -0.1 * n, 0]), R[-1])
         localizer.update(log.times[-1] + 0.1 * n, T, R[-1].inv().apply(log.field[-1]))
         if (now := localizer.estimate()).status == "dead_reckoning":
             assert now.drift >= 1 > inside.drift

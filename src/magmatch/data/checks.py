@@ -16,6 +16,7 @@ from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import GLOBAL_FRAME, origin_of
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError, in_short
+from magmatch.geometry import path_walked
 from magmatch.number_text import many, told
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
@@ -229,20 +230,25 @@ def odd_speed(survey: Survey) -> str:
 
 def jumps(survey: Survey) -> Indices:
     """Samples after which the position jumps: no step of whoever carries the sensor."""
-    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
-    if survey.times is None or odd_speed(survey) or not steps.any():
+    is_long = _are_long_steps(survey)
+    if not is_long.any() or odd_speed(survey):
         return np.zeros(0, np.int64)
-    return np.flatnonzero((_speeds(survey) > ODD_SPEED) & (steps > JUMP * np.median(steps[steps > 0])))
+    return np.flatnonzero(is_long & (_speeds(survey) > ODD_SPEED))
 
 
 def _restarts(survey: Survey) -> Indices:
     """Samples after which the position jumps to that of the first one, exactly, and goes on from there."""
+    is_long = _are_long_steps(survey)
+    is_back = (survey.positions[1:] == survey.positions[0]).all(axis=1)
+    return np.flatnonzero(is_long & is_back & ~np.append(is_long[1:], False))
+
+
+def _are_long_steps(survey: Survey) -> Mask:
+    """Whether the step after each sample but the last is far longer than is usual; of no step without times."""
     steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
     if survey.times is None or not steps.any():
-        return np.zeros(0, np.int64)
-    is_far = steps > JUMP * np.median(steps[steps > 0])
-    is_back = (survey.positions[1:] == survey.positions[0]).all(axis=1)
-    return np.flatnonzero(is_far & is_back & ~np.append(is_far[1:], False))
+        return np.zeros(len(steps), dtype=np.bool_)
+    return np.asarray(steps > JUMP * np.median(steps[steps > 0]))
 
 
 def _doubt_jumps(survey: Survey) -> Iterator[str]:
@@ -304,12 +310,11 @@ def _stuck_while_moving(survey: Survey, is_repeat: Mask) -> str:
     """
     starts = np.flatnonzero(~is_repeat)
     ends = np.append(starts[1:], len(survey))  # one past each run
-    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
-    walked = np.append(0.0, np.cumsum(steps))
+    walked = path_walked(survey.positions)
     leaps = np.append(np.linalg.norm(survey.field[ends[:-1]] - survey.field[ends[:-1] - 1], axis=1), np.inf)
     lengths, ways = ends - starts, walked[ends - 1] - walked[starts]
     is_stuck = lengths >= LONG * np.quantile(lengths, USUAL_HOLD)
-    is_stuck &= (leaps > np.median(leaps)) & (ways > HALF * lengths * np.median(steps)) & (ways > 0)
+    is_stuck &= (leaps > np.median(leaps)) & (ways > HALF * lengths * np.median(np.diff(walked))) & (ways > 0)
     if not is_stuck.any():
         return ""
     k = int((lengths * is_stuck).argmax())

@@ -144,10 +144,9 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorCorrection":
         raise DataFormatError(path, str(error)) from None
     for doubt in (*of_magnitude(turned, layout.field_unit), *doubt_axes(turned)):
         log.warning("%s: %s", path, doubt)
-    words = estimate_text(
-        "hard_iron", *(part["hard_iron"] for part in (solution.estimate, solution.sd, solution.is_open))
-    )
-    if solution.is_open["hard_iron"].any():
+    iron, sd, is_open = (part["hard_iron"] for part in (solution.estimate, solution.sd, solution.is_open))
+    words = estimate_text("hard_iron", iron, sd, is_open)
+    if is_open.any():
         log.warning("%s: hard iron %s; turn it upside down, too", path, words)
     else:
         say(f"{path}: hard iron {words}")

@@ -17,7 +17,7 @@ from magmatch.errors import ConfigurationError
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
     from magmatch.field.map import FieldMap
-    from magmatch.published.config import PublishedConfig
+    from magmatch.registration.config import RegistrationConfig
     from magmatch.registration.result import RegistrationResult
 
 EXAMPLES = (
@@ -71,8 +71,9 @@ def view(
         msg = "a registration result alone has nothing in space; give its base and target too"
         raise ConfigurationError(msg)
     result = read_result(results[0]) if results else None
+    settings = None if result is None else _settings_of(result)
     if result is not None:
-        drawn = [_mapped(item, result, side) for item, side in zip(drawn, ("base", "target"), strict=False)]
+        drawn = [_mapped(item, result, settings, side) for item, side in zip(drawn, ("base", "target"), strict=False)]
     if goal is not None:
         from magmatch.viz.pages.registration_page import write_report
         from magmatch.viz.view import write_view
@@ -81,7 +82,8 @@ def view(
             write_view(goal, drawn)
         else:
             base, target = drawn or (None, None)
-            write_report(goal, base, target, result, published=_published_settings(result))
+            published = settings.keypoints if settings is not None and settings.search == "keypoints" else None
+            write_report(goal, base, target, result, published=published)
         put(str(goal))
     if rerun is not None:
         from magmatch.viz.rerun_recording import scene_of, write_rerun
@@ -90,28 +92,28 @@ def view(
         put(str(rerun))
 
 
-def _published_settings(result: "RegistrationResult") -> "PublishedConfig | None":
-    """Settings of the published method, if the result is its."""
+def _settings_of(result: "RegistrationResult") -> "RegistrationConfig | None":
+    """Settings of a result; none where they are of another version."""
     from magmatch.registration.config import RegistrationConfig
 
     try:
-        settings = RegistrationConfig.model_validate(result.config)
+        return RegistrationConfig.model_validate(result.config)
     except ValidationError:
-        return None  # of another version
-    return settings.keypoints if settings.search == "keypoints" else None
+        return None
 
 
-def _mapped(item: "Survey | FieldMap", result: "RegistrationResult", side: str) -> "Survey | FieldMap":
+def _mapped(
+    item: "Survey | FieldMap", result: "RegistrationResult", settings: "RegistrationConfig | None", side: str
+) -> "Survey | FieldMap":
     """A survey's map as the registration made it, for residuals and cuts; the survey if it cannot be mapped."""
     from magmatch.errors import SurveyError
     from magmatch.field.map import FieldMap
-    from magmatch.registration.config import RegistrationConfig
     from magmatch.registration.maps import as_map
     from magmatch.registration.sensor_calibration import without_sensor_errors
 
     as_given = item.measured if isinstance(item, FieldMap) else item
     used = without_sensor_errors(as_given, result.sensor, side)
     try:
-        return as_map(item if used is as_given else used, RegistrationConfig.model_validate(result.config).field)
-    except (SurveyError, ValidationError):
+        return item if settings is None else as_map(item if used is as_given else used, settings.field)
+    except SurveyError:
         return item
