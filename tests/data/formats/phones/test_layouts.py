@@ -118,7 +118,37 @@ def test_one_phyphox_table_of_several_sensors_may_have_holes(tmp_path):
     assert [len(log.streams[s]) for s in READINGS] == [N, N, N - 1]
 
 
-def androsensor(kinds=("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION"), mark=";"):
+LANGUAGES = {
+    "German": ("Zeit", "Magnetfeld", "Beschleunigung", "Gyroskop", "Lineare Beschleunigung"),
+    "French": ("Temps", "Champ magnétique", "Accélération", "Gyroscope", "Accélération linéaire"),
+    "Chinese": ("时间", "磁场", "加速度", "陀螺仪", None),
+}
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_phyphox_may_write_in_other_languages(language, tmp_path):
+    time, *words, linear = LANGUAGES[language]
+    kinds = [(word, UNITS[sensor], values) for word, (sensor, values) in zip(words, READINGS.items(), strict=True)]
+    kinds += [(linear, "m/s^2", READINGS["acceleration"] - 1)] if linear else []
+    tables = {
+        f"{word}.csv": rows([f"{time} (s)", *(f"{word} {a} ({unit})" for a in "xyz")], [TIMES, values], ";", ",")
+        for word, unit, values in kinds
+    }
+    log = read_phone_log(zipped(tmp_path / "walk.zip", tables))
+    assert log.app == "phyphox"
+    assert ("linear_acceleration" in log.streams) is bool(linear)
+    assert_same(replace(log, streams={sensor: log.streams[sensor] for sensor in READINGS}))
+    for name, text in tables.items():
+        (tmp_path / name).write_text(text)
+        assert sniff(tmp_path / name) == "phone"
+
+
+def test_a_survey_in_another_language_is_no_phone(tmp_path):
+    (tmp_path / "walk.csv").write_text("Zeit (s),x (m),y (m),z (m),B x (µT),B y (µT),B z (µT)\n0,1,2,3,20,1,-40\n")
+    assert sniff(tmp_path / "walk.csv") == "csv"
+
+
+def androsensor(kinds=("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION"), mark=";", clock="Time since start in ms "):
     """One table of all sensors, with what the app writes beside them."""
     still, down = np.zeros((N, 3)), np.array([0, 0, STANDARD_GRAVITY])
     columns = {
@@ -131,7 +161,7 @@ def androsensor(kinds=("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION"), mark=
     used = [name for name in columns if name in (*kinds, "GYROSCOPE", "MAGNETIC FIELD")]
     names = [f"{name} {axis} ({columns[name][0]})" for name in used for axis in "XYZ"]
     names += ["ORIENTATION Z (azimuth °)", "LOCATION Latitude : ", "Satellites in range"]
-    names += ["Time since start in ms ", "YYYY-MO-DD HH-MI-SS_SSS"]
+    names += [clock, "YYYY-MO-DD HH-MI-SS_SSS"]
     lines = [mark.join(names)]
     for i, values in enumerate(np.hstack([columns[name][1] for name in used]).tolist()):
         lines.append(
@@ -140,9 +170,10 @@ def androsensor(kinds=("ACCELEROMETER", "GRAVITY", "LINEAR ACCELERATION"), mark=
     return "\n".join([*lines, ""])
 
 
-@pytest.mark.parametrize("mark", [";", ","])
-def test_androsensor_is_read_whole(mark, tmp_path):
-    (tmp_path / "Sensor_record.csv").write_text(androsensor(mark=mark))
+@pytest.mark.parametrize("clock", ["Time since start in ms ", "TIME SINCE START (ms)"])
+@pytest.mark.parametrize("mark", [";", ",", ", "])
+def test_androsensor_is_read_whole(mark, clock, tmp_path):
+    (tmp_path / "Sensor_record.csv").write_text(androsensor(mark=mark, clock=clock))
     assert sniff(tmp_path / "Sensor_record.csv") == "phone"
     log = read_phone_log(tmp_path / "Sensor_record.csv")
     assert log.app == "AndroSensor"

@@ -40,9 +40,13 @@ _UNITS: Mapping[str, Sensor] = {
     "µt": "field", "μt": "field", "ut": "field", "m/s^2": "acceleration", "m/s²": "acceleration", "rad/s": "rate",
 }  # fmt: skip
 # Of these two apps: how a table calls its times, and what they are in.
-_TIMES: Mapping[str, tuple[str, TimeUnit]] = {
-    "phyphox": ("time (s)", "s"), "AndroSensor": ("time since start in ms", "ms"),
+_TIMES: Mapping[str, tuple[Collection[str], TimeUnit]] = {
+    "phyphox": (("time (s)",), "s"), "AndroSensor": (("time since start in ms", "time since start (ms)"), "ms"),
 }  # fmt: skip
+# phyphox writes names in the phone's language, its times into the first column: told by their unit, like the sensors.
+_TRANSLATED_TIME = re.compile(r"[^\W\d_]{2,} \(s\)")
+# What accelerations without gravity are called there, and gravity alone.
+_WITHOUT_GRAVITY, _GRAVITY = ("linear", "lineal", "linéaire", "ohne g"), ("gravi", "schwerkraft")
 _ELAPSED = "seconds_elapsed"  # of Sensor Logger
 _ANDROID_TIME = "event.timestamp"
 _ANDROID_SENSOR = ("event.sensor", "event.sensor.type", "event.sensor.name", "sensor", "sensor_type", "type", "name")
@@ -138,8 +142,17 @@ def columns_of(names: list[str], stem: str) -> Columns | None:
             sensors.setdefault(
                 _variant(sensor, f"{what} {stem}"), tuple(f"{what} {a} ({unit})".strip() for a in AXES)
             )
-    app = next((app for app, (time, _) in _TIMES.items() if time in names), "")
-    return Columns(app, _TIMES[app][0], sensors) if sensors and app else None
+    app, time = _clock_of(names)
+    return Columns(app, time, sensors) if sensors and app else None
+
+
+def _clock_of(names: list[str]) -> tuple[str, str]:
+    """Tell phyphox or AndroSensor by its column of times, and that column; empty where there is none."""
+    for app, (times, _) in _TIMES.items():
+        if time := next((name for name in names if name in times), ""):
+            return app, time
+    is_survey = any(name.endswith("(m)") for name in names)
+    return ("phyphox", names[0]) if _TRANSLATED_TIME.fullmatch(names[0]) and not is_survey else ("", "")
 
 
 def _android(names: list[str], stem: str) -> Columns | None:
@@ -171,9 +184,10 @@ def _variant(sensor: Sensor, words: str) -> Sensor:
     """The sensor itself, or what is left of it without calibration or gravity."""
     if sensor == "field" and "uncal" in words:
         return "raw_field"
-    if sensor == "acceleration" and words.startswith("gravity"):
+    if sensor == "acceleration" and words.startswith(_GRAVITY):
         return "gravity"
-    return "linear_acceleration" if sensor == "acceleration" and "linear" in words else sensor
+    is_linear = sensor == "acceleration" and any(word in words for word in _WITHOUT_GRAVITY)
+    return "linear_acceleration" if is_linear else sensor
 
 
 def _digits_of_times(times: Scalars) -> int:
