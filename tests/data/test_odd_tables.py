@@ -153,3 +153,55 @@ def test_a_quoted_date_before_a_last_column_without_a_name_is_no_row_name(rows, 
     )
     with pytest.raises(DataFormatError, match="line 2: expected 7 cells"):
         read_survey(path, UT)
+
+
+TITLES = {
+    "a title and a blank line": "Survey of hall 3\n\n",
+    "cells of a spreadsheet": "Survey of hall 3;;;;;;\nOperator: X. Y.;;;;;;\n;;;;;;\n".replace(";", ","),
+    "groups of columns": "Time,Position,,,Field,,,\n",
+    "another program's comments": "// export; version 1, of 2\n; t, and the rest\n%\n",
+    "names and values": '"Product","Logger 2"\n"rate",50\n',
+    "a title that names a column": "field of T\n",
+}
+
+
+@pytest.mark.parametrize("titles", TITLES.values(), ids=TITLES)
+@pytest.mark.parametrize("first", ["", "sep=,\n"])
+def test_titles_above_a_header_of_known_names_are_left_out(titles, first, rows, tmp_path, caplog):
+    names = "t,x,y,z,bx,by,bz,motor"
+    plain = write(tmp_path / "plain.csv", np.column_stack([rows, rows[:, 0]]), names)
+    (tmp_path / "titled.csv").write_text(first + titles + plain.read_text())
+    survey, channels = read_survey_and_channels(tmp_path / "titled.csv", UT)
+    np.testing.assert_array_equal(survey.field, read_survey(plain, UT).field)
+    np.testing.assert_array_equal(channels["motor"], survey.times)
+    assert not caplog.text
+
+
+@pytest.mark.parametrize("names", ["", "a,b,c,d,e,f,g\n"])
+def test_titles_may_stand_above_columns_known_by_number(names, rows, tmp_path):
+    plain = write(tmp_path / "plain.csv", rows)
+    path = tmp_path / "titled.csv"
+    path.write_text("Survey; hall 3, x\nby X. Y.\n" + names + plain.read_text().partition("\n")[2])
+    layout = UT.model_copy(update={"columns": "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7"})
+    np.testing.assert_array_equal(read_survey(path, layout).field, read_survey(plain, UT).field)
+
+
+def test_titles_may_stand_above_names_that_are_stated_and_above_poses(rows, tmp_path):
+    text = write(tmp_path / "a.csv", rows[:, [0, 4, 5, 6]], "clock,mx,my,mz").read_text()
+    (tmp_path / "a.csv").write_text("Log 7\n" + text)
+    poses = np.column_stack([rows[:, :4], np.tile([0, 0, 0, 1], (N, 1))])
+    text = write(tmp_path / "b.csv", poses, "t,x,y,z,qx,qy,qz,qw").read_text()
+    (tmp_path / "b.csv").write_text("Poses of hall 3; x, y\n" + text)
+    layout = UT.model_copy(update={"columns": "t=clock,bx=mx,by=my,bz=mz", "trajectory": tmp_path / "b.csv"})
+    np.testing.assert_allclose(read_survey(tmp_path / "a.csv", layout).field, rows[:, 4:] * 1e-6)
+
+
+def test_a_table_without_known_names_says_which_line_it_takes_for_the_header(tmp_path):
+    (tmp_path / "walk.csv").write_text("\nSurvey of hall 3\nclock,mx,my,mz\n" + "0,1,2,3\n" * 9)
+    with pytest.raises(
+        DataFormatError,
+        match=r"csv, line 2: expected columns such as .*; found survey, of, hall, 3; if the header stands further",
+    ):
+        read_survey(tmp_path / "walk.csv")
+    with pytest.raises(DataFormatError, match=r"walk\.csv, line 2: expected a column 'b1' for bx, found survey, of"):
+        read_survey(tmp_path / "walk.csv", SurveyFormat(columns="bx=b1,by=my,bz=mz"))

@@ -68,7 +68,13 @@ def _of_csv(path: str | Path, layout: SurveyFormat) -> tuple[Scalars | None, dic
         if name in own or not name or table.names.count(name) > 1 or len(columns) == MAX_CHANNELS:
             continue
         try:
-            wanted = Wanted((name,), numbered=numbered, decimal=table.decimal, recover=layout.recover)
+            wanted = Wanted(
+                (name,),
+                numbered=numbered,
+                decimal=table.decimal,
+                recover=layout.recover,
+                header_line=table.header_line,
+            )
             other = read_table(path, wanted, lines)
         except DataFormatError:
             continue

@@ -49,7 +49,8 @@ def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
         return
     path = table.path
     try:
-        values = read_table(path, Wanted((name,), decimal=table.decimal, recover=layout.recover)).columns[name]
+        wanted = Wanted((name,), decimal=table.decimal, recover=layout.recover, header_line=table.header_line)
+        values = read_table(path, wanted).columns[name]
         is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
     except DataFormatError:
         is_count = False

@@ -17,7 +17,7 @@ from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import damage_told, is_folder, is_gzip, read_bytes, text_lines
-from magmatch.data.tables.text_rows import delimiter_of, is_row, split_header, stated_delimiter
+from magmatch.data.tables.text_rows import MAX_TITLES, delimiter_of, is_row, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.data.tables.yaml_text import mapping_in
 from magmatch.data.units import MEBI
@@ -128,12 +128,12 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     if len(head) == _HEAD and b"\n" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         head = head[: head.rindex(b"\n")]  # the last line, and its last character, may be cut
     lines = [line.strip() for line in text_lines(path, head)]
-    rows = [line for line in lines if is_row(line)][:2]
+    rows = [line for line in lines if is_row(line)][: MAX_TITLES + 1]
     mark = stated_delimiter(rows[0]) if rows else None
     if mark:
         rows.pop(0)
     first = rows[0] if rows else ""
-    if is_phone_header(first):
+    if any(map(is_phone_header, rows)):
         return "phone"
     cells = first.split()
     if (len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells))) or _names_poses(path, first, mark):

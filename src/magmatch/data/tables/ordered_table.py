@@ -31,7 +31,7 @@ def read_ordered(
     states that of the times; `lone` as in `header_of`.
     """
     lines = text_lines(path)
-    rows = rows_of(path, lines)
+    rows = rows_of(path, lines, lambda _, names: _read_names(names, order, lone).names_all(order))
     if not rows.at:
         return read_table(path, Wanted(order, order), lines), time_unit  # which says what is wrong
     line = rows.at[0] + 1
@@ -52,7 +52,7 @@ def read_ordered(
     if header and is_header_row:
         ours = {word.lower(): name for word, name in zip(header.words, header.names, strict=True) if name in order}
         clock = next(word for word, name in ours.items() if name == "t")
-        wanted = Wanted(ours, digits={clock: DIGITS_OF_SECOND[unit]}, recover=recover)
+        wanted = Wanted(ours, digits={clock: DIGITS_OF_SECOND[unit]}, recover=recover, header_line=line)
         table = read_table(path, wanted, lines).renamed(ours)
     else:
         if len(cells) < len(order):

@@ -30,6 +30,8 @@ from magmatch.typing import Indices, Matrix, Scalars
 
 logger = logging.getLogger(__name__)
 
+# Columns that a row names if it is a header for sure: a title may hold a word that is one by chance.
+SURE_NAMES = 3
 # Rows that are written at a time.
 CHUNK_ROWS = 20_000
 
@@ -46,6 +48,7 @@ class Table:
     # Columns of words that were asked for and are there, with the word of each row
     words: Mapping[str, Sequence[str]] = field(default_factory=dict)
     decimal: Decimal = "point"  # the mark of the numbers in the file
+    header_line: int | None = None  # the line of names, counted from 1
 
     def __len__(self) -> int:
         return len(self.line_numbers)
@@ -59,7 +62,7 @@ class Table:
         missing = [name for name in names if name not in self.columns]
         if missing:
             message = f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {listed(self.names)}"
-            raise DataFormatError(self.path, f"{message}. {hint}" if hint else message)
+            raise DataFormatError(self.path, f"{message}. {hint}" if hint else message, line=self.header_line)
 
     def renamed(self, names: Mapping[str, str]) -> "Table":
         """Return the table with columns under other names, given as {old: new}."""
@@ -104,24 +107,45 @@ class Wanted:
     digits: Mapping[str, int] = field(default_factory=dict)
     # Whether to leave out rows that cannot be read, and say how many; None: there is no such choice.
     recover: bool | None = None
+    header_line: int | None = None  # the line of names, where it is known; else the first row that is sure to be it
     # What to do about a file that has none of the columns, from the names it has.
     advise: Callable[[Sequence[str]], str] = lambda _: ""
+
+    def chosen(self, names: Sequence[str]) -> Mapping[str, str]:
+        """Our names of the columns to read, by the table's."""
+        return {name: name for name in self.known} if self.choose is None else self.choose(names)
+
+    def is_header(self, line: int, cells: Sequence[str]) -> bool:
+        """Whether a row is the header for sure; where columns have numbers, whether it is wider than a title."""
+        if self.names is not None:
+            return False
+        if self.numbered:
+            return len(cells) >= max(self.numbered) - 1  # R has no name for its row names
+        if self.header_line is not None:
+            return line == self.header_line
+        names = [cell.lower() for cell in cells]
+        return len(self.chosen(names).keys() & set(names)) >= min(SURE_NAMES, len(self.known))
 
 
 def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = None) -> Table:
     """Read columns of a delimited text file; every number is finite, and there is at least one row.
 
-    Lines that start with ``#`` and blank lines are skipped. Cells are split at the delimiter of the header: comma,
-    semicolon, tab, or else white space; or the one that a first line ``sep=;`` states. Numbers may have decimal
-    commas and groups of three digits. Dates (ISO 8601) of times become seconds since 1970. ``lines`` are the file's
-    own, where they are known already.
+    Lines that start with ``#`` and blank lines are skipped, and so are titles: rows above one that names three of the
+    columns at least (or all, where fewer are known), or that has a cell for each number of a column. Cells are split
+    at the delimiter of the header: comma, semicolon, tab, or else white space; or the one that a first line ``sep=;``
+    states. Numbers may have decimal commas and groups of three digits. Dates (ISO 8601) of times become seconds since
+    1970. ``lines`` are the file's own, where they are known already.
     """
-    rows = rows_of(path, text_lines(path) if lines is None else lines)
+    rows = rows_of(path, text_lines(path) if lines is None else lines, wanted.is_header)
     if not rows.at:
         raise DataFormatError(path, "holds only comments and blank lines, expected rows of numbers")
     names, is_header = _names(path, rows, wanted)
+    header_line = rows.at[0] + 1 if is_header else None
     rows = replace(rows, at=rows.at[is_header:])
-    chosen = {name: name for name in wanted.known} if wanted.choose is None else wanted.choose(names)
+    try:
+        chosen = wanted.chosen(names)
+    except DataFormatError as error:
+        raise DataFormatError(path, error.message, line=header_line) from None
     if not rows.at:
         raise DataFormatError(path, "has a header row but no samples under it")
     places = {name: k for k, name in enumerate(names) if name in chosen}
@@ -129,8 +153,10 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
         message = f"expected columns such as {listed(tuple(wanted.known))}; found {listed(names)}"
         if any(map(is_sample, names)):
             message += advice_on_comments(rows.comments, len(names))
+        if is_header and not any(map(is_sample, next(rows.cells())[1])):
+            message += "; if the header stands further down, delete the rows above it"
         advice = wanted.advise(names)
-        raise DataFormatError(path, f"{message}. {advice}" if advice else message)
+        raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=header_line)
     marked = ((line, [cells[k] for k in places.values() if k < len(cells)]) for line, cells in rows.cells())
     reader = NumberReader(
         path,
@@ -146,7 +172,7 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
     )
     block, line_numbers, words = reader.read(rows.cells())
     columns = {name: block[:, k].copy() for k, name in enumerate(places)}
-    return Table(Path(path), names, columns, line_numbers, tuple(rows.comments), words, reader.decimal)
+    return Table(Path(path), names, columns, line_numbers, tuple(rows.comments), words, reader.decimal, header_line)
 
 
 def _names(path: str | Path, rows: Rows, wanted: Wanted) -> tuple[tuple[str, ...], bool]:

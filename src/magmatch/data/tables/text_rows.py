@@ -16,6 +16,8 @@ from magmatch.errors import DataFormatError
 # What spreadsheets write where a formula has no value (English and German): no comment.
 _SHEET_ERROR = re.compile(r"#(?:N/A|NV|(?:DIV/0|VALUE|WERT|REF|BEZUG|NUM|ZAHL|NULL)!|NAME\?)\s*[,;\t]")
 
+# Rows that may stand above a header: a title, the operator, names of groups of columns.
+MAX_TITLES = 50
 # What row names are called, for which a header has no name; and how a row with one begins.
 ROW_NAMES, _ROW_NAME = "row names", re.compile(r'\s*"[^"]*"[\s,;]\s*[^"\s]')
 
@@ -73,16 +75,41 @@ class Rows:
         )
 
 
-def rows_of(path: str | Path, lines: Sequence[str]) -> Rows:
-    """Find the rows among the lines of a table, and what separates their cells."""
+def rows_of(
+    path: str | Path, lines: Sequence[str], is_header: Callable[[int, list[str]], bool] = lambda *_: False
+) -> Rows:
+    """Find the rows among the lines of a table, and what separates their cells.
+
+    Rows above the first of which `is_header`, given its line and its cells, is sure are titles, and left out.
+    """
     at = [i for i, line in enumerate(lines) if is_row(line)]
     mark = stated_delimiter(lines[at[0]]) if at else None
     at = at[mark is not None :]
+    at = at[_n_titles(path, lines, at, mark, is_header) :]
     top = at[0] if at else len(lines)
     first = lines[top] if at else ""
     above = [line.strip().lstrip("#").strip() for line in lines[:top] if not is_row(line)]
-    delimiter = mark if mark and mark in first else delimiter_of(path, first, top + 1)
-    return Rows(lines, at, [line for line in above if line], delimiter)
+    return Rows(lines, at, [line for line in above if line], _mark_of(path, first, top + 1, mark) if at else None)
+
+
+def _n_titles(
+    path: str | Path,
+    lines: Sequence[str],
+    at: Sequence[int],
+    mark: str | None,
+    is_header: Callable[[int, list[str]], bool],
+) -> int:
+    """Count the rows above the first that is a header for sure; none where no row is."""
+    for n, i in enumerate(at[:MAX_TITLES]):
+        with suppress(DataFormatError):  # what is no header
+            if is_header(i + 1, split_header(lines[i], _mark_of(path, lines[i], i + 1, mark))):
+                return n
+    return 0
+
+
+def _mark_of(path: str | Path, row: str, line: int, stated: str | None) -> str | None:
+    """What separates the cells of a row: the mark that is stated, if the row has it."""
+    return stated if stated and stated in row else delimiter_of(path, row, line)
 
 
 def split_row(text: str, delimiter: str | None) -> list[str]:

@@ -83,10 +83,11 @@ def read_table_streams(
 ) -> tuple[str, dict[Sensor, Stream]]:
     """Name the app and read the sensors of a table that are wanted."""
     lines = text_lines(place, raw)
-    rows = rows_of(place, lines)
+    stem = stem_of(place.name)
+    rows = rows_of(place, lines, lambda _, names: columns_of([name.lower() for name in names], stem) is not None)
     first = rows.at[0] if rows.at else 0
     names = _cells(lines[first])
-    columns = columns_of(names, stem_of(place.name))
+    columns = columns_of(names, stem)
     if columns is None:
         message = (
             f"expected a phone's table (phyphox, AndroSensor, Sensor Logger, Android); found columns {listed(names)}"
