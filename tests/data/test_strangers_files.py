@@ -95,6 +95,55 @@ def test_a_message_shows_times_that_differ(tmp_path, poses):
         read_survey(tmp_path / "Magnetometer.csv", poses(1_700_000_000))
 
 
+def rostopic(topic, fields, values):
+    """What `rostopic echo -p` writes: each message was received 2 ms after its stamp."""
+    stamps = [1_700_000_000 * 10**9 + round(1e9 * t) for t in TIMES]
+    names = ",".join(["%time,field.header.seq,field.header.stamp,field.header.frame_id", *fields])
+    rows = [
+        f"{t + 2_000_000},{k},{t},{topic}," + ",".join(map(repr, v))
+        for k, (t, v) in enumerate(zip(stamps, values, strict=True))
+    ]
+    return "\n".join([names, *rows, ""])
+
+
+POSE_FIELDS = [*(f"position.{a}" for a in "xyz"), *(f"orientation.{a}" for a in "xyzw")]
+POSE_TOPICS = {
+    "PoseStamped": ([f"field.pose.{name}" for name in POSE_FIELDS], []),
+    "Odometry": (
+        [f"field.pose.pose.{name}" for name in POSE_FIELDS],
+        ["field.pose.covariance0", "field.twist.twist.linear.x", "field.twist.twist.angular.w"],
+    ),
+    "TransformStamped": (
+        [
+            f"field.transform.{n.replace('position', 'translation').replace('orientation', 'rotation')}"
+            for n in POSE_FIELDS
+        ],
+        [],
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", POSE_TOPICS)
+def test_topics_of_ros_printed_as_text_are_read_by_their_stamps(kind, tmp_path, capsys):
+    fields, others = POSE_TOPICS[kind]
+    turned = [0.0, 0.0, 1.0, 0.0]  # half a turn about z
+    poses = [[k / 7, k % 3 / 2, 0.5, *turned, *(9.0 for _ in others)] for k in range(N)]
+    (tmp_path / "poses.csv").write_text(rostopic("map", fields + others, poses))
+    names = [f"field.magnetic_field.{a}" for a in "xyz"] + ["field.magnetic_field_covariance0"]
+    (tmp_path / "mag.csv").write_text(rostopic("imu", names, np.column_stack([1e-6 * FIELD, 0 * TIMES]).tolist()))
+    layout = SurveyFormat(trajectory=tmp_path / "poses.csv")
+    survey = read_survey(tmp_path / "mag.csv", layout)
+    np.testing.assert_allclose(survey.times, 1_700_000_000 + TIMES, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(survey.field, 1e-6 * FIELD * [-1, -1, 1], atol=1e-15)
+    np.testing.assert_allclose(survey.positions, np.array(poses)[:, :3], atol=1e-6)
+    axes = read_survey(tmp_path / "mag.csv", layout.model_copy(update={"columns": "bz=-bz"}))
+    np.testing.assert_allclose(axes.field, 1e-6 * FIELD * [-1, -1, -1], atol=1e-15)
+    assert main(["info", str(tmp_path / "poses.csv")]) == 0
+    assert "trajectory" in capsys.readouterr().out
+    with pytest.raises(DataFormatError, match=r"poses\.csv: holds poses, .* pass a trajectory beside it"):
+        read_survey(tmp_path / "poses.csv")
+
+
 @pytest.mark.parametrize(
     "row", ["walk,2023-11-14T22:13:20.25Z,1.5,2,3,0.1", "walk;2023-11-14 22:13:20,25;1,5;2;3;0,1"]
 )

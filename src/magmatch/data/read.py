@@ -23,6 +23,7 @@ from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
 from magmatch.data.missing_readings import missing, without_missing
 from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import FIELD_COLUMNS
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError, SurveyError
@@ -144,7 +145,7 @@ def read_as_written(path: str | Path, layout: SurveyFormat) -> tuple[Survey, Sur
     kind = kind_of(path, layout)
     if kind not in READERS:
         raise DataFormatError(path, _NOT_A_SURVEY[kind])
-    if layout.rate is not None and kind in {"log", "phone", "euroc"}:
+    if layout.rate is not None and kind in {"log", "phone", "euroc", "rostopic"}:
         raise DataFormatError(path, "holds times of its own: leave out --rate")
     survey, used = READERS[kind](path, layout)
     return replace(survey, name=Path(path).name), used
@@ -154,7 +155,7 @@ def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:
     """Tell what a file is by its content; where columns are stated, any text is a table: its user knows it better."""
     kind = sniff(path)
     names_columns = layout.columns and layout.field_axes() is None
-    return "csv" if names_columns and kind in {"phone", "tum"} and at_rest(path).is_file() else kind
+    return "csv" if names_columns and kind in {"phone", "tum", "rostopic"} and at_rest(path).is_file() else kind
 
 
 def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
@@ -176,8 +177,11 @@ def _read_phone(
 
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
-    """The magnetometer of an EuRoC folder, which sees vectors in its own frame."""
+    """The magnetometer of an EuRoC folder, or of a topic of ROS as text, which sees vectors in its own frame."""
     table = read_euroc(path, EUROC_FIELD, lone="b", recover=layout.recover)
+    if layout.field_axes() is not None:
+        turned = dict(zip(FIELD_COLUMNS, layout.turned(table.stack(*FIELD_COLUMNS)).T, strict=True))
+        table = replace(table, columns=table.columns | turned)
     return _joined(recording_of_table(table, layout.settled(field_frame="sensor")), layout)
 
 
@@ -187,6 +191,7 @@ Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
 READERS: Mapping[FileKind, Reader] = {
     "csv": lambda path, layout: (read_survey_csv(path, layout), layout),
     "euroc": _read_euroc,
+    "rostopic": _read_euroc,
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
     "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout, advice_for_arrays), layout),
     "phone": _read_phone,

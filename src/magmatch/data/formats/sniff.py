@@ -13,7 +13,8 @@ from typing import Literal
 from magmatch.data.formats.phones import getsensordata, xyz10
 from magmatch.data.formats.phones.containers import opened_tables, phone_tables_of, refuse_strays
 from magmatch.data.formats.phones.tables import is_phone_header
-from magmatch.data.tables.header_names import header_of
+from magmatch.data.survey_columns import FIELD_COLUMNS
+from magmatch.data.tables.header_names import header_of, is_of_rostopic
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import damage_told, is_folder, is_gzip, read_bytes, text_lines
@@ -23,7 +24,7 @@ from magmatch.data.tables.yaml_text import mapping_in
 from magmatch.data.units import MEBI
 from magmatch.errors import DataFormatError
 
-FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone"]
+FileKind = Literal["csv", "map", "registration", "tum", "euroc", "log", "parquet", "mat", "phone", "rostopic"]
 
 _NO_WORKBOOKS = "export the sheet as CSV (phyphox: choose CSV, not Excel, under 'Export Data')"
 _NO_PICKLES = "pickles are never read, since they can run code; export it as CSV"
@@ -136,20 +137,25 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     if any(map(is_phone_header, rows)):
         return "phone"
     cells = first.split()
-    if (len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells))) or _names_poses(path, first, mark):
+    if len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells)):
         return "tum"
+    if kind := _kind_by_names(path, first, mark):
+        return kind
     above = itertools.takewhile(lambda line: not line or line.startswith("#"), lines)
     is_euroc = any(line.lstrip("# \t").lower().startswith("timestamp") and "," in line for line in above)
     return "euroc" if is_euroc and all(map(is_number, first.rstrip(", \t").split(","))) else "csv"
 
 
-def _names_poses(path: str | Path, first: str, mark: str | None) -> bool:
-    """Whether a header names the columns of a trajectory, and nothing that may be a field."""
+def _kind_by_names(path: str | Path, first: str, mark: str | None) -> FileKind | None:
+    """What a header names: a trajectory, and nothing that may be a field; or either, of a message of ROS."""
     if ";" in first and "," in first:  # read as a survey, which says what is wrong
-        return False
+        return None
     header = header_of(split_header(first, mark if mark and mark in first else delimiter_of(path, first, 1)))
     others = {name for word, name in zip(header.words, header.names, strict=True) if word} - set(TUM_COLUMNS)
-    return header.names_all(TUM_COLUMNS) and others <= {"?"}
+    is_message = is_of_rostopic(header.words)
+    if header.names_all(TUM_COLUMNS) and (is_message or others <= {"?"}):
+        return "tum"
+    return "rostopic" if is_message and header.names_all(("t", *FIELD_COLUMNS)) else None
 
 
 def _sniff_folder(path: str | Path) -> FileKind:

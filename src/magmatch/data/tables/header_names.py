@@ -30,6 +30,8 @@ _UNITS: Mapping[str, TimeUnit | LengthUnit | FieldUnit] = {
     **dict.fromkeys(("ut", "µt", "μt", "microtesla"), "uT"),
     **dict.fromkeys(("nt", "nanotesla"), "nT"),
 }
+# How `rostopic echo -p` names what it prints: fields, and among them the time of the measurement.
+_OF_MESSAGE, _STAMP = "field.", "field.header.stamp"
 _BRACKETS = re.compile(r"\s*[\[({]([^\[\](){}]*)[\])}]")
 
 
@@ -56,11 +58,26 @@ class Header:
         return ""
 
 
+def is_of_rostopic(words: Sequence[str]) -> bool:
+    """Whether these are the names of ``rostopic echo -p``: fields of a message, below when it was received."""
+    return bool(words) and words[0] == "%time" and any(word.startswith(_OF_MESSAGE) for word in words)
+
+
 def header_of(words: Sequence[str], lone: str = "") -> Header:
     """Read names of columns; `lone` is what axes without a word before them are of: "b" of the field."""
-    found = [_name_of(word, lone) for word in words]
+    if is_of_rostopic(words):
+        clock = _STAMP if _STAMP in words else words[0]
+        found = [("t", "ns") if word == clock else _of_message(word, lone) for word in words]
+    else:
+        found = [_name_of(word, lone) for word in words]
     units = {name: unit for name, unit in found if name and unit}
     return Header(tuple(word.strip() for word in words), tuple(name for name, _ in found), units)
+
+
+def _of_message(word: str, lone: str) -> tuple[str, str]:
+    """Our name of a field of a message; none of further times."""
+    name, unit = _name_of(word.removeprefix(_OF_MESSAGE), lone)
+    return ("?" if name == "t" else name), unit
 
 
 def words_of(line: str) -> list[str]:
