@@ -15,6 +15,7 @@ from magmatch.data.formats.phones.containers import opened_tables, phone_tables_
 from magmatch.data.formats.phones.tables import is_phone_header
 from magmatch.data.survey_columns import FIELD_COLUMNS
 from magmatch.data.tables.header_names import header_of, is_of_rostopic
+from magmatch.data.tables.motive import is_of_motive
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import damage_told, is_folder, is_gzip, read_bytes, text_lines
@@ -137,7 +138,7 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
     if any(map(is_phone_header, rows)):
         return "phone"
     cells = first.split()
-    if len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells)):
+    if is_of_motive(first) or (len(cells) == len(TUM_COLUMNS) and all(map(is_number, cells))):
         return "tum"
     if kind := _kind_by_names(path, first, mark):
         return kind

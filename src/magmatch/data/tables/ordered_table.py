@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.tables.header_names import Header, header_of, words_of
+from magmatch.data.tables.motive import is_of_motive, read_motive
 from magmatch.data.tables.number_marks import is_number, number_of_text
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
@@ -31,6 +32,10 @@ def read_ordered(
     states that of the times; `lone` as in `header_of`.
     """
     lines = text_lines(path)
+    if is_of_motive(lines[0]):
+        table = read_motive(path, lines, length_unit, recover=recover)
+        table.require_increasing("t")
+        return table, "s"
     rows = rows_of(path, lines, lambda _, names: _read_names(names, order, lone).names_all(order))
     if not rows.at:
         return read_table(path, Wanted(order, order), lines), time_unit  # which says what is wrong
