@@ -195,6 +195,44 @@ def test_stamps_that_share_no_time_give_way_to_log_times(made, flight, saved, ca
     assert "Header stamps are used" not in caplog.text
 
 
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("step", [SECOND, 1000 * SECOND], ids=["whole seconds", "one for all"])
+def test_stamps_that_were_cut_give_way_to_log_times(step, which, made, flight, saved, caplog):
+    """Else all readings but the first of each second would be left out."""
+    series = list(flight.series)
+    series[which] = made.replace(series[which], stamp_ns=series[which].log_ns // step * step)
+    survey = read_survey(saved(*series))
+    np.testing.assert_array_equal(survey.times, read_survey(saved(*flight.series)).times)
+    assert f"most messages of {series[which].topic} share their header stamps" in caplog.text
+
+
+REPEATED = {
+    "sent again until there is another": lambda k: (k // 4 * 4, k),
+    "recorded twice": lambda k: (k // 3 * 3, k // 3 * 3),
+}
+
+
+@pytest.mark.parametrize("how", REPEATED)
+def test_messages_that_repeat_stamp_and_numbers_were_not_cut(how, made, flight, saved, caplog):
+    mag, odom = flight.series
+    of, at = REPEATED[how](np.arange(len(odom.log_ns)))
+    log_ns = odom.log_ns[at] + np.arange(len(at)) % 3
+    again = made.replace(odom, log_ns=log_ns, stamp_ns=odom.stamp_ns[of], values=odom.values[of])
+    survey = read_survey(saved(mag, again))
+    first = made.replace(odom, log_ns=odom.log_ns[np.unique(of)], values=odom.values[np.unique(of)])
+    first = made.replace(first, stamp_ns=odom.stamp_ns[np.unique(of)])
+    np.testing.assert_array_equal(survey.positions, read_survey(saved(mag, first)).positions)
+    assert "share their header stamps" not in caplog.text
+
+
+def test_readings_that_came_in_bursts_keep_their_stamps(made, flight, saved, caplog):
+    mag, odom = flight.series
+    batch = np.arange(len(mag.log_ns)) // 5 * 5
+    log_ns = mag.log_ns[batch] + np.arange(len(batch)) % 5 * 1000
+    assert len(read_survey(saved(made.replace(mag, log_ns=log_ns, stamp_ns=mag.stamp_ns[batch]), odom))) == 60
+    assert "240 messages of /imu/mag whose time another one has" in caplog.text
+
+
 def test_an_axis_of_a_log_is_reversed_as_a_column_is(made, flight, saved):
     path = saved(*flight.series)
     as_read = read_survey(path, SurveyFormat(field_frame="survey")).field

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import Decoder, Entries, Fault, Frames
+from magmatch.data.logs.messages import TREES, Decoder, Entries, Fault, Frames
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.data.tables.times import SECOND
 from magmatch.data.units import DAMAGED
@@ -99,11 +99,17 @@ def _whole(part: Entries, faults: list[Fault]) -> Entries:
 def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream]:
     """Streams to be joined, with the times to use in ``stamp_ns``: header stamps, or log times for all.
 
-    Log times are used where the headers of one stream have no stamps, or those of two streams share no time.
+    Log times are used where the headers of one stream have no stamps, or cut ones, or those of two streams share no
+    time.
     """
     unstamped = [s.topic.name for s in streams if not any((part.stamp_ns > 0).any() for part in s.entries.values())]
     if unstamped:
         logger.warning("%s: the headers of %s have no stamps; log times are used", path, ", ".join(unstamped))
+        return _by_log_times(streams)
+    if cut := [stream for stream in streams if _are_stamps_cut(stream)]:
+        names = ", ".join(stream.topic.name for stream in cut)
+        words = "%s: most messages of %s share their header stamps, as if cut to whole seconds; log times are used"
+        logger.warning(words, path, names)
         return _by_log_times(streams)
     # Zero stands for no stamp, unless the message was logged at zero too: simulated clocks begin there.
     kept = [
@@ -129,6 +135,22 @@ def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream
     if are_apart:
         logger.warning("%s: the header stamps of %s lie on different clocks", path, names)
     return kept
+
+
+def _are_stamps_cut(stream: TopicStream) -> bool:
+    """Whether most readings of a topic share their stamp with others, as if cut to whole seconds.
+
+    Log times must tell them apart: those of readings sent in batches, or recorded twice, come in bursts. A message
+    that was sent again, numbers and all, is no reading. Edges of tf are sent again whenever another one is.
+    """
+    part = stream.largest
+    part = part.at(part.stamp_ns > 0)
+    stamps, which = np.unique(part.stamp_ns, return_inverse=True)
+    if stream.topic.type in TREES or 2 * len(stamps) >= len(which):
+        return False
+    n_readings = len(np.unique(np.column_stack([which, part.values]), axis=0))
+    intervals = np.diff(np.sort(part.log_ns))
+    return 2 * len(stamps) < n_readings and bool(2 * np.median(intervals) > np.mean(intervals))
 
 
 def _by_log_times(streams: Sequence[TopicStream]) -> list[TopicStream]:
