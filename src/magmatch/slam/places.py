@@ -11,13 +11,14 @@ from magmatch.data.checks import extent
 from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
 from magmatch.field.sensor_biases import without_bias
-from magmatch.preparation.odometry.drift import lie_level
+from magmatch.preparation.odometry.drift import FACTORS, lie_level
 from magmatch.progress import tell
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
+from magmatch.slam.graph.learned_drift import with_factors
 from magmatch.slam.graph.odometry import follow, odometry_graph
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.graph.solve import solve
+from magmatch.slam.graph.solve import forget_closures, solve
 from magmatch.slam.graph.trajectories import moved
 from magmatch.slam.search.loop_closure import earlier_passes
 from magmatch.slam.search.submaps import SubmapMaker
@@ -80,6 +81,14 @@ class Places:
         self.paths = [replace(p, windows=tuple(replace(w, config=config) for w in p.windows)) for p in self.paths]
         self.graph.edges = odometry_graph(self.paths, config).edges
         self.solve()
+
+    def drifting_more(self) -> "Places":
+        """The same logs without closures, whose odometry drifts by a standard deviation more of what it may."""
+        more = self.copied()
+        forget_closures(more.graph)
+        more.stated = with_factors(self.stated, FACTORS[[-1, -1]])
+        more.take_drift(more.stated)
+        return more
 
     def path(self, node: int) -> Path:
         """The log that a node lies on."""

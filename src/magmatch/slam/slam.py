@@ -12,13 +12,13 @@ from math import inf
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.path_noise import PRIOR_STRETCHES
-from magmatch.preparation.odometry.drift import FACTOR_ODDS, FACTORS
+from magmatch.preparation.odometry.drift import FACTOR_ODDS
 from magmatch.progress import counted
 from magmatch.registration.clock import Clock
 from magmatch.runner import Runner
 from magmatch.slam.config import LEAST_KEPT, SURE, SlamConfig
 from magmatch.slam.graph.anchors import Anchor
-from magmatch.slam.graph.learned_drift import teaches_drift, with_factors
+from magmatch.slam.graph.learned_drift import teaches_drift
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places, begin
@@ -51,7 +51,7 @@ def correct(
         close_all(closer, places.paths)
         if not teaches_drift(places.graph):
             # What is stated of odometry may be a guess: what a deviation more of it closes is asked, too.
-            more = LoopCloser(drifting_more(places), run)
+            more = LoopCloser(places.drifting_more(), run)
             close_all(more, more.places.paths)
             if more.log_odds + FACTOR_ODDS[-1] > closer.log_odds + FACTOR_ODDS[0]:
                 places = more.places
@@ -75,15 +75,6 @@ def correct_more(
     with clock("refinement"):
         refine(places, places.paths[len(earlier.paths) :], run)
     return places
-
-
-def drifting_more(places: Places) -> Places:
-    """The same logs without closures, whose odometry drifts by a standard deviation more of what it may."""
-    more = places.copied()
-    forget_closures(more.graph)
-    more.stated = with_factors(places.stated, FACTORS[[-1, -1]])
-    more.take_drift(more.stated)
-    return more
 
 
 def close_all(closer: LoopCloser, logs: Sequence[Path]) -> None:
