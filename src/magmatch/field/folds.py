@@ -60,7 +60,10 @@ def has_path_order(points: Points) -> bool:
     """
     if len(points) < 3:
         return False
-    step = np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    # Half of the way is walked in shorter steps: where one stood, readings are no steps.
+    steps = np.sort(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    walked = np.cumsum(steps)
+    step = steps[np.searchsorted(walked, walked[-1] / 2)]
     spread = np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1))
     return bool(step < 0.15 * spread)
 

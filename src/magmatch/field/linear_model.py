@@ -20,9 +20,10 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
 Index = tuple[int, int, int]
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and at how
-# many samples a refitted field is compared with the stored one.
-REFIT_TOLERANCE, N_CHECKED = 1e-6, 2000
+# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and as a share
+# of the field, of which the noise outdoors may be little; and at how many samples a refitted field is compared with
+# the stored one.
+REFIT_TOLERANCE, ROUNDING, N_CHECKED = 1e-6, 1e-9, 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,8 +125,10 @@ def is_refit(posterior: FieldPosterior, weights: Scalars, points: Points) -> boo
     if np.array_equal(weights, posterior.weights):
         return True
     some = points[:: -(-len(points) // N_CHECKED)]
-    change = posterior.evaluate(some).field - posterior.evaluate(some, weights=weights).field
-    return bool(np.abs(change).max() <= REFIT_TOLERANCE * posterior.hyperparameters.noise_sd)
+    field = posterior.evaluate(some).field
+    change = field - posterior.evaluate(some, weights=weights).field
+    most = REFIT_TOLERANCE * posterior.hyperparameters.noise_sd + ROUNDING * np.abs(field).max()
+    return bool(np.abs(change).max() <= most)
 
 
 def check_samples(points: Points, field: Vectors, fewest: int) -> None:

@@ -98,9 +98,7 @@ class MapStrategy:
         return self.state(pair, replace(pose, covariance=covariance + drift_covariance(pose.pose)))
 
     def bend(self, pair: MapPair, pose: PoseEvidence) -> Bend | None:
-        """The difference between the poses of the path's halves; where a change was estimated, it may bend them."""
-        if pose.is_beside_change:
-            return None
+        """The difference between the poses of the path's halves; what drifts can look as if something had moved."""
         return bend_of_map(pair.base, pair.target, pose.pose, pair.prior, self.config.refinement, self.seed)
 
 

@@ -10,7 +10,7 @@ from magmatch.field.cholesky.cells import MAX_BOX_CELLS
 from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.evidence_climb import is_allowed, rounded
-from magmatch.field.subset import sample_distance
+from magmatch.field.subset import distinct_places, sample_distance
 from magmatch.field.tiles.region_model import fit_operations
 from magmatch.typing import Points
 
@@ -45,8 +45,8 @@ class SplineLayout:
     @classmethod
     def over(cls, points: Points) -> "SplineLayout":
         """Layout that these samples ask for."""
-        distance, is_path = sample_distance(points), has_path_order(points)
-        anywhere = CLOSEST_OF_FEW if len(points) <= FEW_SAMPLES else CLOSEST_SPLINES
+        places, is_path = distinct_places(points), has_path_order(points)
+        distance, anywhere = sample_distance(places), CLOSEST_OF_FEW if len(places) <= FEW_SAMPLES else CLOSEST_SPLINES
         return cls(distance, (CLOSEST_OF_A_PATH if is_path else anywhere) * distance, is_path)
 
     def reach(self, spacing: float) -> float:
