@@ -17,7 +17,6 @@ from magmatch.field.config import FieldConfig
 from magmatch.field.domain import Box
 from magmatch.field.excess import warn_of_excess
 from magmatch.field.fit import fit_unbounded, within
-from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.map import FieldMap
 from magmatch.field.priors import prior_over
@@ -84,7 +83,7 @@ def map_samples(surveys: tuple[Survey, ...], config: FieldConfig, run: Workers |
         log.info("%s", biases.in_words)
         surveys = biases.without(surveys)
     if fitted is None or config.prior != PREFERRED:
-        fitted = choose_and_fit(surveys, config, run, fitted and fitted[1].hyperparameters)
+        fitted = choose_and_fit(surveys, config, run, fitted)
     field_map, unbounded, samples = fitted
     field_map = replace(field_map, biases=biases)
     if not config.leave_out_outliers:
@@ -129,22 +128,32 @@ def choose_biases(
         biases = found
     else:
         fitted = choose_and_fit(biases.without(surveys), spline, run)
-    return biases if biases.spread > 0 else None, fitted
+    if biases.spread > 0:
+        return biases, fitted
+    # Biases that are none after all may have been taken out before.
+    return None, None if biases.bias.any() else fitted
 
 
 def choose_and_fit(
-    surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None, preferred: Hyperparameters | None = None
+    surveys: tuple[Survey, ...], config: FieldConfig, run: Workers | None, preferred: Fitted | None = None
 ) -> Fitted:
-    """Choose the prior and its numbers, and fit the field; see `choose_prior`."""
+    """Choose the prior and its numbers, and fit the field; see `choose_prior`.
+
+    ``preferred``: the preferred prior's fit of the same samples, where there is one.
+    """
     merged = surveys[0].merged(*surveys[1:])
     T_map_model = merged.principal_frame()
     samples, box = merged.transformed(T_map_model.inv()), Box.declared(config.domain, T_map_model)
     if config.prior == "auto":
-        config, hyperparameters = choose_prior(samples, config, T_map_model, preferred)
+        known = preferred and preferred[1].hyperparameters
+        config, hyperparameters = choose_prior(samples, config, T_map_model, known)
     else:
         hyperparameters = choose_numbers(prior_over(config.prior, box), samples, config)
     tell(f"fitting the field of {merged.name} ({len(merged)} samples, prior {config.prior})")
-    unbounded = fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), {}, run)
+    if preferred and config.prior == PREFERRED and hyperparameters == preferred[1].hyperparameters:
+        unbounded = preferred[1]
+    else:
+        unbounded = fit_unbounded(samples, hyperparameters, prior_over(config.prior, box), {}, run)
     posterior, parts = within(box, unbounded), surveys if len(surveys) > 1 else ()
     return FieldMap(merged, posterior, T_map_model, config, T_map_model, samples, parts), unbounded, samples
 
