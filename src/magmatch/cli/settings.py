@@ -105,9 +105,6 @@ def with_prior(
     said |= {} if gravity_sd is None else {"gravity_sd": radians(gravity_sd)}
     if not said:
         return config
-    if config.search == "keypoints":
-        msg = "--prior-pose, --gravity-aligned and --planar: these settings search by keypoints, which use no prior"
-        raise ConfigurationError(msg)
     return type(config).model_validate(config.model_dump() | {"prior": config.prior.model_dump() | said})
 
 

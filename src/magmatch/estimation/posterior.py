@@ -189,19 +189,12 @@ class Posterior(Generic[H]):
         return float(np.log(self.best / rival)) if rival > 0 and self.best > 0 else None
 
 
-def posterior_over(
-    hypotheses: Sequence[H], tolerance: tuple[float, float], prior_odds: float = 1.0, elsewhere: float = -np.inf
-) -> Posterior[H]:
-    """Weigh poses of one target in one base against each other and against unrelated surveys.
-
-    Poses no farther apart than the tolerance (m, rad), at the target's centre, are one answer. ``prior_odds``: that
-    both surveys cover a common place; ``elsewhere``: log odds of the best pose in another base, nats.
-    """
-    return posterior_of(answers_of(hypotheses, tolerance), prior_odds, elsewhere)
-
-
 def posterior_of(answers: Sequence[Answer[H]], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
-    """`posterior_over` for answers that exclude each other."""
+    """Weigh answers of one target in one base against each other and against unrelated surveys.
+
+    ``prior_odds``: that both surveys cover a common place; ``elsewhere``: log odds of the best pose in another base,
+    nats.
+    """
     ranked = sorted(answers, key=lambda answer: -answer.log_odds)
     terms = np.array([*(answer.log_odds for answer in ranked), elsewhere, -np.log(prior_odds)])
     shares = np.exp(terms - np.logaddexp.reduce(terms))

@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.errors import ConfigurationError
@@ -140,7 +140,7 @@ def cells_in_use(field_map: FieldMap, spacing: float, config: FeatureConfig) -> 
     if config.grid == "region":
         return region, hull
     reach = config.path_radius * spacing
-    if config.grid == "auto":
+    if config.grid == "auto" and len(hull):
         distance = cKDTree(samples).query(_cell_positions(region, hull), distance_upper_bound=reach)[0]
         if np.count_nonzero(np.isfinite(distance)) >= REGION_SHARE * len(hull):
             return region, hull
@@ -183,7 +183,10 @@ def _cells_in_hull(grid: RegularGrid, samples: Points) -> Indices:
     points = grid.local_points()[:, is_wide]
     if is_wide.sum() < 2:
         return np.arange(len(points), dtype=np.int64)
-    return np.flatnonzero(in_hull(points, local)).astype(np.int64)
+    try:
+        return np.flatnonzero(in_hull(points, local)).astype(np.int64)
+    except QhullError:  # samples on a line have no hull
+        return np.zeros(0, dtype=np.int64)
 
 
 def in_hull(points: Matrix, samples: Matrix) -> Mask:

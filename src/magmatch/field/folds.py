@@ -60,8 +60,10 @@ def has_path_order(points: Points) -> bool:
     """
     if len(points) < 3:
         return False
-    # Half of the way is walked in shorter steps: where one stood, readings are no steps.
-    steps = np.sort(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    # Where one stood, further readings are no steps; and half of the way is walked in shorter ones than this.
+    points = points[np.append(True, steps > 0)]
+    steps = np.sort(steps)
     walked = np.cumsum(steps)
     step = steps[np.searchsorted(walked, walked[-1] / 2)]
     spread = np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1))

@@ -20,9 +20,9 @@ from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Place of a tile on its lattice. A region that one factor can hold is its own tile (0, 0, 0).
 Index = tuple[int, int, int]
-# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and as a share
-# of the field, of which the noise outdoors may be little; and at how many samples a refitted field is compared with
-# the stored one.
+# Largest change of the mean field at the samples that another machine's rounding may make, in noise_sd, and as a
+# share of the field, of which the noise outdoors may be little; and at how many samples a refitted field is compared
+# with the stored one.
 REFIT_TOLERANCE, ROUNDING, N_CHECKED = 1e-6, 1e-9, 2000
 
 

@@ -57,6 +57,8 @@ def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
 
 def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
     """In one clause, the most helpful remedy if the surveys are of the same place."""
+    if prior.pose is not None:
+        return "if they are of one place, the pose that was stated is wrong: leave it out, or widen --prior-pose-sd"
     # Where z is up in one of them only, to state that it is does not help.
     is_known = (
         prior.is_gravity_aligned or prior.is_planar or bool(len(surveys) == 2 and of_verticals(*surveys.values()))

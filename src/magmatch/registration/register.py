@@ -16,11 +16,13 @@ from magmatch.data.fingerprint import describe_input
 from magmatch.data.survey import Survey
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import ConfigurationError
+from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.field.map import FieldMap
 from magmatch.progress import Progress, followed
 from magmatch.registration.advice import with_advice
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig, settings_of
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.registration.index.atlas import Atlas, open_atlas
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import require_base, require_target, survey_of
@@ -144,6 +146,12 @@ def register_keeping_maps(
     base, config = _opened(base, target, config)
     if config.search == "keypoints" and (given.poses or given.is_alone):
         msg = "candidates: the published method weighs no poses but its own; use the preset 'default'"
+        raise ConfigurationError(msg)
+    if config.search == "keypoints" and (config.prior, config.decision) != (PosePriorConfig(), DecisionConfig()):
+        msg = (
+            "what is known of the pose, and what is asked for (--prior-pose, --gravity-aligned, --planar, --max-sd, "
+            "--min-probability): these settings search by keypoints, which use none of it; use the preset 'default'"
+        )
         raise ConfigurationError(msg)
     whole_number_of(seed, "seed")
     # A folder of one map is that map; its name is that of the file.

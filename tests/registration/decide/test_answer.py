@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose
-from magmatch.estimation.posterior import posterior_over
+from magmatch.estimation.posterior import answers_of, posterior_of
 from magmatch.geometry import random_transform
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import Verdict
@@ -34,7 +34,7 @@ POSES = [
 
 
 def answer(status, poses=POSES, estimate=None, elsewhere=-np.inf, support=SUPPORT):
-    posterior = posterior_over(poses, (1.0, 0.5), 1.0, elsewhere)
+    posterior = posterior_of(answers_of(poses, (1.0, 0.5)), 1.0, elsewhere)
     estimate = estimate or Estimate(T_STATED, CENTER, C)
     between = [h.T_base_target for h in posterior.poses]
     verdict = Verdict(status, "so it is")

@@ -24,7 +24,9 @@ NEEDED = needed_evidence(CONFIG.min_probability, "map")
 
 def posterior_of(best=0.995, rivals=0.0, elsewhere=0.0, pose=None):
     """The best pose, two others and another map, each with its probability; the rest is the null's."""
-    poses = (pose or WeighedPose(), WeighedPose(log_evidence=20.0), WeighedPose(log_evidence=10.0))
+    first = pose or WeighedPose()
+    others = (WeighedPose(log_evidence=e, attainable=first.attainable) for e in (20.0, 10.0))
+    poses = (first, *others)
     answers = tuple(Answer.of([pose]) for pose in poses)
     return Posterior(answers, (best, 0.75 * rivals, 0.25 * rivals), elsewhere, 1 - best - rivals - elsewhere)
 
@@ -88,6 +90,13 @@ def test_a_pose_is_accepted_from_the_least_probability_on(limit):
 def test_a_refusal_says_where_the_rest_of_the_probability_lies(just, beyond, status):
     assert status_of(**just) not in (status, Status.ACCEPTED)
     assert status_of(**beyond) is status
+
+
+def test_a_field_in_which_another_pose_could_match_is_not_blamed():
+    """The best pose barely lies in the base, as a wrong one may; another could have shown a match, and does not."""
+    poses = (WeighedPose(attainable=0.0, overlap=1.0), WeighedPose(log_evidence=20.0, attainable=300.0))
+    posterior = Posterior(tuple(Answer.of([pose]) for pose in poses), (0.6, 0.0), 0.0, 0.4)
+    assert decide(posterior, estimate_of(), LENGTH, CONFIG).status is Status.INCONSISTENT
 
 
 @pytest.mark.parametrize(

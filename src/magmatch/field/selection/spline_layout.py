@@ -46,7 +46,8 @@ class SplineLayout:
     def over(cls, points: Points) -> "SplineLayout":
         """Layout that these samples ask for."""
         places, is_path = distinct_places(points), has_path_order(points)
-        distance, anywhere = sample_distance(places), CLOSEST_OF_FEW if len(places) <= FEW_SAMPLES else CLOSEST_SPLINES
+        distance = sample_distance(places)
+        anywhere = CLOSEST_OF_FEW if len(places) <= FEW_SAMPLES else CLOSEST_SPLINES
         return cls(distance, (CLOSEST_OF_A_PATH if is_path else anywhere) * distance, is_path)
 
     def reach(self, spacing: float) -> float:

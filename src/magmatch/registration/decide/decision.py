@@ -68,11 +68,12 @@ def decide(posterior: Posterior[Hypothesis], estimate: Estimate, length: float, 
             f"only {best.overlap:.0%} of the target falls inside the base under the best pose, too little to tell a "
             "match from chance; survey a common region",
         )
-    if best.attainable < needed:
+    attainable = max(pose.attainable for pose in posterior.poses)
+    if attainable < needed:
         return Verdict(
             Status.UNINFORMATIVE,
             f"the field that both surveys may share has too little structure: a perfect match would reach "
-            f"{np.floor(max(best.attainable, 0)):.0f} nats, {np.ceil(needed):.0f} are needed; "
+            f"{np.floor(max(attainable, 0)):.0f} nats, {np.ceil(needed):.0f} are needed; "
             "survey a larger area or closer to iron",
         )
     effective = posterior.answers[0].effective

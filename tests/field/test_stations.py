@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Surveys by station, in regular lanes and of quiet fields: what a surveyor brings is mapped as it is."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magmatch import FieldMap, Survey, build_map
+from magmatch.field.config import SPLINE, FieldConfig
+from magmatch.field.folds import has_path_order
+from magmatch.field.linear_model import is_refit
+from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
+from magmatch.field.subset import choose_part
+
+EARTH = np.array([18e-6, 0.0, -45e-6])
+
+
+def dipoles(points, places, moments):
+    """Field of dipoles (A m^2) and of the Earth, T."""
+    r = points[:, None] - places
+    d = np.linalg.norm(r, axis=2, keepdims=True)
+    along = (r * moments).sum(axis=2, keepdims=True)
+    return EARTH + 1e-7 * (3 * r * along / d**5 - moments / d**3).sum(axis=1)
+
+
+@pytest.fixture(scope="module")
+def stations():
+    """Stations 0.6 m apart, above sources 0.8 m and more below."""
+    rng = np.random.default_rng(5)
+    x, y = np.meshgrid(np.arange(0, 5, 0.6), np.arange(0, 4.1, 0.6))
+    places = rng.uniform([-1, -1, -1.2], [6, 5, 0.2], (30, 3))
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 1.0)])
+    return points, dipoles(points, places, 8 * rng.normal(size=(30, 3)))
+
+
+@pytest.mark.parametrize("sway", [0.0, 1e-3])
+def test_more_readings_at_each_station_make_no_worse_map(stations, sway):
+    """They are no path, though most steps from one reading to the next are none."""
+    points, truth = stations
+    rng = np.random.default_rng(6)
+
+    def rms(n):
+        where = np.repeat(points, n, axis=0)
+        where = where + sway * rng.normal(size=where.shape)
+        read = np.repeat(truth, n, axis=0) + 4e-7 * rng.normal(size=where.shape)
+        assert not has_path_order(where)
+        return float(np.sqrt(np.mean((build_map(Survey(where, read), SPLINE).evaluate(points).field - truth) ** 2)))
+
+    assert rms(10) < max(rms(1), 4e-7)
+
+
+def test_where_somebody_stood_no_path_is_lost():
+    walk = np.column_stack([np.linspace(0, 20, 200), np.zeros((200, 2))])
+    assert has_path_order(np.concatenate([walk[:100], np.repeat(walk[100:101], 900, axis=0), walk[100:]]))
+
+
+def test_rounding_chooses_neither_samples_nor_numbers_of_regular_lanes():
+    x, y = np.meshgrid(np.arange(0, 5, 0.1), np.arange(0, 4.1, 0.4))
+    x[1::2] = x[1::2, ::-1]
+    points = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    points -= points.mean(axis=0)
+    rng = np.random.default_rng(7)
+    field = dipoles(points, rng.uniform([-3, -3, -2], [3, 3, -0.8], (20, 3)), 20 * rng.normal(size=(20, 3)))
+    field = field + 4e-7 * rng.normal(size=field.shape)
+    turn = Rotation.random(random_state=8)
+    rounded = turn.apply(turn.apply(points), inverse=True)
+    assert 0 < np.abs(rounded - points).max() < 1e-14
+    np.testing.assert_array_equal(choose_part(rounded, 300, 3), choose_part(points, 300, 3))
+    one, other = (choose_spline_hyperparameters(p, field) for p in (points, rounded))
+    assert one.lengthscale == pytest.approx(other.lengthscale, rel=1e-6)
+    assert one.noise_sd == pytest.approx(other.noise_sd, rel=1e-3)
+
+
+@pytest.mark.parametrize(("share", "is_rounding"), [(1e-10, True), (1e-6, False)])
+def test_rounding_of_a_quiet_field_is_no_other_field(stations, share, is_rounding):
+    """48 uT with 1 nT of noise: what rounding changes is a share of the whole."""
+    points, field = stations
+    config = FieldConfig(prior="spline", lengthscale=1.0, signal_sd=1e-6, noise_sd=1e-9, spacing=0.5)
+    made = build_map(Survey(points, field), config)
+    samples = made.survey.transformed(made.T_map_model.inv())
+    assert is_refit(made.posterior, made.posterior.weights * (1 + share), samples.positions) == is_rounding
+
+
+@pytest.mark.slow
+def test_a_quiet_field_is_mapped_saved_and_asked(tmp_path):
+    """1 nT of noise on 48 uT: rounding of the whole is a share of it that no check may take for another field."""
+    x, y = np.meshgrid(np.arange(0, 60, 0.1), np.arange(0, 40, 1.0))
+    x[1::2] = x[1::2, ::-1]
+    points = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
+    rng = np.random.default_rng(8)
+    points = points + 0.003 * rng.normal(size=points.shape)
+    field = dipoles(points, rng.uniform([0, 0, -3], [60, 40, -0.8], (40, 3)), 10 * rng.normal(size=(40, 3)))
+    made = build_map(Survey(points, field + 1e-9 * rng.normal(size=field.shape)), SPLINE)
+    made.save(tmp_path / "site.map")
+    asked = points[::997]
+    sd = np.sqrt(np.diagonal(FieldMap.load(tmp_path / "site.map").covariance(asked), axis1=1, axis2=2))
+    assert 1e-11 < np.median(sd) < 1e-8
