@@ -48,6 +48,7 @@ from magmatch.slam.statement import (
     state_closure,
     state_odometry,
 )
+from magmatch.slam.turned_fields import warn_of_turned_fields
 from magmatch.slam.windows import Path
 from magmatch.typing import Indices, Vector3
 
@@ -149,6 +150,8 @@ class Session:
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
         self._changed()
         self._warn_of_a_wrong_point()
+        if places.maker is not None and config.is_gravity_aligned:
+            warn_of_turned_fields(self.trajectories, self.components, places.maker.length)
 
     def _warn_of_a_wrong_point(self) -> None:
         """Name the fixed point without which all else agrees best, where they contradict each other or the log."""
