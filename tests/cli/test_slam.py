@@ -200,6 +200,34 @@ def test_one_more_log_is_added_to_a_folder(run, refused, logs, corrected, tmp_pa
     refused(["slam", logs / "short.csv", "--out", tmp_path / "new", "--continue"], "no session")
 
 
+def test_a_map_fixed_by_degrees_is_asked_in_degrees_and_keeps_its_origin(run, refused, logs, tmp_path):
+    walk, truth = mm.read_survey(logs / "short.csv"), np.load(logs / "truth.npy").tolist()
+
+    def in_degrees(row, latitude=49.0):
+        # So many metres are a degree there.
+        return f"{latitude + truth[row][1] / 111_220:.9f},{11 + truth[row][0] / 73_170:.9f}"
+
+    for name, latitude in (("here", 49.0), ("there", 49.01)):
+        rows = [f"short,{walk.times[k]},{in_degrees(k, latitude)},0,0.02" for k in (3, 70, 140)]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["log,t,lat,lon,z,sd", *rows]))
+        done = run("slam", logs / "short.csv", "--anchors", tmp_path / f"{name}.csv", "--out", tmp_path / name)
+        assert done.code == 0, done.err
+    here, frame = tmp_path / "here", mm.read_survey(tmp_path / "here" / "short.csv").frame
+    assert frame.startswith("east, north, up of 49.0000")
+    assert mm.FieldMap.load(here / "map.map").survey.frame == frame
+    (tmp_path / "points.csv").write_text(f"lat,lon,z\n{in_degrees(70)},0\n")
+    done = run("query", here / "map.map", tmp_path / "points.csv", "--out", tmp_path / "field.csv")
+    assert done.code == 0, done.err
+    found = np.genfromtxt(tmp_path / "field.csv", delimiter=",", names=True)
+    np.testing.assert_allclose([found["x"], found["y"]], np.subtract(truth[70], truth[3])[:2], atol=0.05)
+    floors = ["map", here / "short.csv", tmp_path / "there" / "short.csv", "--out", tmp_path / "both.map"]
+    refused(floors, "expected surveys in one frame")
+    refused(floors, "'origin: [49.")
+    done = run("slam", logs / "short.csv", logs / "walk.csv", "--continue", "--out", here)
+    assert done.code == 0, done.err
+    assert mm.read_survey(here / "walk.csv").frame == frame
+
+
 def test_a_log_of_another_place_is_said_to_be_tied_to_none(run, logs, tmp_path):
     drifting_walk(Place(9), 3, laps=0.7)[0].save(tmp_path / "far.csv")
     done = run("slam", logs / "short.csv", tmp_path / "far.csv", "--out", tmp_path / "out")

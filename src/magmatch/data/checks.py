@@ -107,7 +107,8 @@ def require_one_frame(surveys: Sequence[Survey]) -> None:
     frames = list(dict.fromkeys(s.frame for s in surveys if s.frame.startswith(GLOBAL_FRAME)))
     if len(frames) > 1:
         origin = frames[0].removeprefix(GLOBAL_FRAME)
-        msg = f"expected surveys in one frame, found {frames[0]!r} and {frames[1]!r}; read all with --origin {origin}"
+        same = f"read all with --origin {origin}, or have slam set 'origin: [{origin}]' (--config)"
+        msg = f"expected surveys in one frame, found {frames[0]!r} and {frames[1]!r}; {same}"
         raise SurveyError(msg)
     others = [s.name for s in surveys if s.frame not in frames]
     if frames and others:

@@ -42,6 +42,7 @@ from magmatch.slam.statement import (
     bent_window,
     biases_in_maps,
     explain,
+    frame_of,
     guessed_drift,
     place_and_turn,
     state_anchors,
@@ -266,10 +267,10 @@ class Session:
     @cached_property
     def trajectories(self) -> list[Survey]:
         """Each log with corrected positions, orientations and field, in the frame of its component."""
-        frames = self.component_of
+        graph, origin = self.graph, self._now.stated.origin
         return [
-            replace(corrected(path, self.graph), frame="map" if not k else f"map_{k + 1}")
-            for path, k in zip(self.paths, frames, strict=True)
+            replace(corrected(path, graph), frame=frame_of(k, origin if graph.is_fixed(path.first_node) else None))
+            for path, k in zip(self.paths, self.component_of, strict=True)
         ]
 
     @cached_property

@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.data.geodesy import Origin
 from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import GLOBAL_FRAME
 from magmatch.field.map import FieldMap
 from magmatch.geometry import adjoint
 from magmatch.number_text import many
@@ -124,6 +126,13 @@ def guessed_drift(graph: PoseGraph, stated: SlamConfig, logs: Sequence[Survey]) 
     """The drift of some log that was neither stated nor learned, m and deg in 10 m."""
     is_stated = stated.odometry.sd != OdometryConfig().sd or all(stated.sd_stated(s.name) is not None for s in logs)
     return None if is_stated or teaches_drift(graph) else stated.odometry.sd
+
+
+def frame_of(component: int, origin: tuple[float, float] | None) -> str:
+    """Name of a component's frame: as readers of degrees name it, where fixed points tie it to an origin."""
+    if origin is not None:
+        return f"{GLOBAL_FRAME}{Origin(*origin)}"
+    return f"map_{component + 1}" if component else "map"
 
 
 def place_and_turn(C: Covariance6) -> tuple[float, float]:
