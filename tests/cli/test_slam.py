@@ -118,6 +118,20 @@ def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, refused
     refused(["slam", logs / "walk.csv", "--out", tmp_path / "out"], "other inputs")
 
 
+def test_what_slam_writes_beside_its_surveys_is_known(run, refused, corrected, tmp_path):
+    walk = corrected / "walk.csv"
+    for words, said in (
+        (["merge", walk, corrected / "covariances.csv", "--out", tmp_path / "out"], "is a slam covariances file"),
+        (["query", corrected / "result.json", walk, "--out", tmp_path / "x.csv"], "its map is map.map beside it"),
+        (["localize", corrected / "map.map", corrected, "--out", tmp_path / "x.tum"], "is a folder, expected a file"),
+        (["info", corrected], "is a folder, expected a file"),
+    ):
+        assert "register" not in refused(words, said)
+    done = run("slam", corrected, "--out", tmp_path / "out")
+    assert "1 logs; not read: covariances.csv" in done.err
+    assert done.code == 0, done.err
+
+
 def test_without_the_package_that_draws_all_but_the_report_is_written(run, logs, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
     done = run("slam", logs / "short.csv", "--out", tmp_path / "out")

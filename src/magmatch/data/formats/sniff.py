@@ -52,6 +52,7 @@ _FOREIGN: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
         "its poses have no times: give a trajectory of rows t x y z qx qy qz qw",
     ),
     (b"<?xml", "XML document", "export it as CSV"),
+    (b"log,component,t,", "slam covariances", "the surveys that slam or merge wrote lie beside it"),
 )
 # A ROS 2 bag may also be a folder of such files.
 _SIGNATURES: dict[bytes, FileKind] = {
@@ -170,11 +171,9 @@ def _sniff_folder(path: str | Path) -> FileKind:
     with opened_tables(path) as tables:
         if tables:
             return "phone"
-    message = (
-        "is a folder, expected a file, a ROS 2 bag (metadata.yaml), a phone log (Magnetometer.csv) or, as the base "
-        "of 'magmatch register', saved maps"
+    raise DataFormatError(
+        path, "is a folder, expected a file, a ROS 2 bag (metadata.yaml) or a phone log (Magnetometer.csv)"
     )
-    raise DataFormatError(path, message)
 
 
 def _sniff_archive(path: str | Path) -> FileKind:
@@ -207,6 +206,10 @@ def _sniff_json(path: str | Path) -> FileKind:
     schema = mapping_in(content).get("schema")
     if str(schema).startswith(_REGISTRATION_SCHEMA):
         return "registration"
+    if str(schema).startswith("magmatch.slam/"):
+        raise DataFormatError(
+            path, "is a result of slam or merge; its map is map.map beside it, its surveys are there too"
+        )
     found = f"with schema {schema!r}" if schema else "without a schema"
     message = f"is JSON {found}, expected schema '{_REGISTRATION_SCHEMA}1', a survey (CSV) or a saved map"
     raise DataFormatError(path, message)
