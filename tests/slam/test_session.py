@@ -164,6 +164,10 @@ def test_an_earlier_result_of_the_same_logs_is_replaced_and_nothing_else(folder,
     assert mine.read_text() == "mine"
     with pytest.raises(DataFormatError, match="other inputs"):
         write_folder(lone.session, folder)
+    with pytest.raises(DataFormatError, match=r"other inputs: b.csv is not given"):
+        require_folder(folder, [three.logs[0], three.logs[2]])
+    with pytest.raises(DataFormatError, match=r"other inputs: b.csv was changed"):
+        require_folder(folder, [three.logs[0], replace(lone.log, name="b.csv"), three.logs[2]])
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("years of work")
     with pytest.raises(DataFormatError, match="not empty"):

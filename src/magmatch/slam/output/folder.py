@@ -98,14 +98,15 @@ def require_folder(
     advice = "name a new folder, or delete this one"
     if not (folder / RESULT).is_file():
         raise DataFormatError(folder, f"is not empty, and holds no earlier result ({RESULT}); {advice}")
-    earlier = {entry.get("sha256") for entry in SlamResult.load(folder / RESULT).inputs}
+    earlier = {entry.get("sha256"): entry.get("name") for entry in SlamResult.load(folder / RESULT).inputs}
     if surveys is None:
         return
     given = {describe_input(s)["sha256"] for s in surveys}
-    if earlier < given and not may_be_more:
+    if earlier.keys() < given and not may_be_more:
         raise DataFormatError(folder, f"holds a result of fewer inputs; {to_add}{advice}")
-    if not earlier <= given:
-        raise DataFormatError(folder, f"holds a result of other inputs; {advice}")
+    if gone := [name for sha, name in earlier.items() if sha not in given]:
+        what = "was changed, or is read otherwise" if gone[0] in {s.name for s in surveys} else "is not given"
+        raise DataFormatError(folder, f"holds a result of other inputs: {gone[0]} {what}; {advice}")
 
 
 def unfinished(folder: str | Path) -> Path:
