@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from drifting import Place
+from drifting import GIVEN, Place
 from hand_made import exp_se3, log_se3
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
@@ -54,6 +54,21 @@ def session(surveys):
 @pytest.fixture(scope="module")
 def maps(surveys):
     return [build_map(survey, PRESETS["default"].field) for survey in surveys[:2]]
+
+
+def test_maps_that_hold_a_log_in_common_are_said_to(surveys, caplog):
+    """Its samples agree with themselves, whichever frame either map is in."""
+    a, b, c = surveys[0], surveys[1], surveys[2]
+    one, other = (build_map([first, b], GIVEN) for first in (a, c))
+    merging._warn_of_shared_logs([one, a.transformed(FRAMES[1]), other])
+    assert caplog.text.count("count twice") == 2
+    assert "s0.csv+s1.csv and s0.csv hold the same samples (s0.csv)" in caplog.text
+    caplog.clear()
+    merging._warn_of_shared_logs([one, other.transformed(FRAMES[3])])
+    assert "hold the same samples (s1.csv)" in caplog.text
+    caplog.clear()
+    merging._warn_of_shared_logs([a, b, build_map(c, GIVEN)])
+    assert "same samples" not in caplog.text
 
 
 def test_surveys_that_overlap_share_a_frame_and_a_stranger_stays_apart(session, surveys):

@@ -3,7 +3,8 @@
 
 import logging
 from collections.abc import Sequence
-from itertools import combinations
+from dataclasses import replace
+from itertools import combinations, pairwise, product
 from pathlib import Path as FilePath
 
 import numpy as np
@@ -39,6 +40,8 @@ log = logging.getLogger(__name__)
 LEAST_ERROR = 1e-12
 # An accepted registration: T_base_target, its covariance and probability.
 Registered = tuple[RigidTransform, Covariance6, float]
+# To which readings and steps agree that are the same, T and m: far above rounding, far below any noise.
+SAME_FIELD, SAME_PLACE = 1e-13, 1e-6
 # Trees of closures tried for a start.
 N_TREES = 64
 
@@ -85,6 +88,7 @@ def merge(
         raise ConfigurationError(msg)
     samples, clock = [survey_of(survey) for survey in given], Clock()
     require_distinct(samples)
+    _warn_of_shared_logs(given)
     with followed(progress), one_blas_thread(), Runner(run, keep) as runner:
         with clock("maps"):
             maps = [as_map(survey, config.field) for survey in counted("mapping", given)]
@@ -96,6 +100,36 @@ def merge(
             _lay_out(graph)
             solve(graph)
     return Session(config, samples, Places(paths, graph, graph.config), clock.seconds(), seed, is_rigid=True)
+
+
+def _warn_of_shared_logs(given: Sequence[Survey | FieldMap]) -> None:
+    """Say so where two maps were made from a log in common: its samples agree with themselves, and count twice."""
+    logs = [[(survey.name, _steps_of(survey)) for survey in _logs_of(one)] for one in given]
+    for a, b in combinations(range(len(given)), 2):
+        # Each map leaves out a few outliers of its own.
+        pairs = (n for (n, x), (_, y) in product(logs[a], logs[b]) if 2 * len(x & y) > min(len(x), len(y)))
+        if (both := next(pairs, None)) is not None:
+            names = [survey_of(given[k]).name for k in (a, b)]
+            log.warning(
+                "%s and %s hold the same samples (%s): these count twice, and agree with themselves", *names, both
+            )
+
+
+def _steps_of(survey: Survey) -> set[bytes]:
+    """The field's magnitude before and after each step, and the step's length, which no turn of a frame changes."""
+    field = np.linalg.norm(survey.field, axis=1) / SAME_FIELD
+    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1) / SAME_PLACE
+    return {row.tobytes() for row in np.column_stack([field[:-1], field[1:], steps]).round().astype(np.int64)}
+
+
+def _logs_of(one: Survey | FieldMap) -> list[Survey]:
+    """The logs of a survey or map as they were measured: each map takes out what it found of their biases."""
+    if isinstance(one, Survey):
+        return [one]
+    ends = np.cumsum([0, *map(len, one.surveys)])
+    rows = np.arange(ends[-1])
+    parts = [one.measured.subset((rows >= a) & (rows < b)) for a, b in pairwise(ends)]
+    return [replace(part, name=survey.name) for part, survey in zip(parts, one.surveys, strict=True)]
 
 
 def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
