@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.localization.hindsight import agreement, believed, join, stretches
+from magmatch.localization.hindsight import REFUTED, agreement, believed, join, refuted, stretches
 from magmatch.localization.localize import localize
 
 NO_BIAS = np.zeros(3)
@@ -105,3 +105,24 @@ def test_of_two_stretches_that_disagree_neither_stands():
 def test_a_stretch_ends_where_another_map_is_named():
     walk = [estimate(0.0, 0.1), estimate(0.0, 0.1, "cellar"), UNCERTAIN]
     assert [(s.first, s.last) for s in stretches(walk)] == [(0, 0), (1, 1)]
+
+
+def test_only_a_stretch_that_something_contradicts_is_refuted():
+    def rows(forward, backward):
+        return refuted(forward, *agreement(forward, backward)).nonzero()[0].tolist()
+
+    assert rows(at(8, 9), at()) == []
+    assert rows(at(4, 5, otherwise=UNCERTAIN), at()) == []
+    assert rows(at(4, 5), at()) == [4, 5]
+    assert rows(at(8, 9), at(8, 9, x=2.0)) == [8, 9]
+
+
+def test_a_fix_that_nothing_contradicts_is_said_to_wait_for_its_test(place, followed):
+    # The walk ends before the map has known the body for 1.5 m (2.5 field lengths) in either direction.
+    first = int(np.argmax([e.probability >= 0.99 for e in followed.track.estimates]))
+    track = localize(place, followed.log.subset(np.arange(first + 5)))
+    said = [e.reason for e in track.estimates]
+    assert not track.is_stated.any()
+    assert REFUTED not in said
+    assert "it is stated once it has stood" in track.result().reason
+    assert track.estimates[-1].probability >= 0.99

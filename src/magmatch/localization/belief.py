@@ -40,6 +40,11 @@ NO_CHANCE = -14.0
 NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 
+def untested_words(found: str, tested: float) -> str:
+    """Say why a place that was found is not stated yet: it has not been known for the path (m) that puts it to test."""
+    return f"{found}; it is stated once it has stood {tested:.3g} m"
+
+
 class Belief:
     """The belief, updated bin by bin."""
 
@@ -209,7 +214,7 @@ class Belief:
 
         Path outside the map puts it to no test.
         """
-        return self._stood >= self._config.stands * self._known.length
+        return self._stood >= self._path_to_stand
 
     @property
     def is_inside(self) -> bool:
@@ -234,7 +239,7 @@ class Belief:
         stands = (at_once or self.stands) if self._is_place_known() else False
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
-            words = f"{self._words}; it is stated once it has stood {self._standing}" if self.is_sure else self._words
+            words = untested_words(self._words, self._path_to_stand) if self.is_sure else self._words
             return PoseEstimate(status, words, probability=self._found.best, is_place_known=stands)
         factor, last = self._found.poses[0].factor, self._window.steps[-1:]
         likely = self._bank[: len(self._weighed[0].rows)]
@@ -249,8 +254,8 @@ class Belief:
         )  # fmt: skip
 
     @property
-    def _standing(self) -> str:
-        return f"{self._config.stands * self._known.length:.3g} m"
+    def _path_to_stand(self) -> float:
+        return self._config.stands * self._known.length
 
     def hypotheses(self) -> list[PoseHypothesis]:
         """Hypotheses at the last bin, most likely first."""

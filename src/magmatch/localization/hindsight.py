@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked, transform_from_product
-from magmatch.localization.belief import BIN_LENGTH
+from magmatch.localization.belief import BIN_LENGTH, untested_words
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.localization.follow_log import follow_log
@@ -40,20 +40,27 @@ def smooth(known: KnownPlaces, walk: Survey, config: LocalizerConfig) -> Track:
     both, agree = agreement(forward, backward)
     length = LikelyMaps(known, config).bin_length / BIN_LENGTH
     steps, tested = np.diff(path_walked(walk.positions), prepend=0.0), config.stands * length
-    stands = believed(forward, both, agree, steps, tested)
     # A step back ends where that step began.
     steps_back = np.concatenate([[0.0], steps[:0:-1]])
-    stands_back = believed(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
-    joined = join(_only(forward, stands), _only(backward, stands_back))
+    stands = _only(forward, both, agree, steps, tested)
+    stands_back = _only(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
+    joined = join(stands, stands_back)
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
     places = back.places if back.is_stated.any() and not there.is_stated.any() else there.places
     return replace(there, estimates=joined, seconds=seconds, places=places)
 
 
-def _only(estimates: Sequence[PoseEstimate], stands: Mask) -> list[PoseEstimate]:
-    """Estimates without the poses that do not stand."""
-    lost = PoseEstimate(LocalizerStatus.LOST, REFUTED)
-    return [lost if e.is_stated and not ok else e for e, ok in zip(estimates, stands, strict=True)]
+def _only(
+    estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: Scalars, tested: float
+) -> list[PoseEstimate]:
+    """Estimates without the poses that do not stand, with the reason; the arguments of `believed`."""
+    lost, found = PoseEstimate(LocalizerStatus.LOST, REFUTED), list(estimates)
+    stands, is_refuted = believed(estimates, both, agree, steps, tested), refuted(estimates, both, agree)
+    for n in np.flatnonzero([e.is_stated for e in estimates] & ~stands).tolist():
+        e = estimates[n]
+        untested = PoseEstimate(LocalizerStatus.LOST, untested_words(e.reason, tested), probability=e.probability)
+        found[n] = lost if is_refuted[n] else untested
+    return found
 
 
 def reversed_log(walk: Survey) -> Survey:
@@ -78,7 +85,12 @@ def join(forward: Sequence[PoseEstimate], backward: Sequence[PoseEstimate]) -> l
         order = pair if 2 * n >= len(both) else pair[::-1]
         better = max(
             order,
-            key=lambda e: (e.is_stated, e.status is LocalizerStatus.LOCALIZED, 0.0 if e.is_stated else e.probability),
+            key=lambda e: (
+                e.is_stated,
+                e.status is LocalizerStatus.LOCALIZED,
+                e.is_place_known,
+                0.0 if e.is_stated else e.probability,
+            ),
         )
         joined.append(refuted if contradicts else better)
     rows = np.flatnonzero(agree).tolist()
@@ -155,11 +167,24 @@ def believed(estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: 
         if one.is_contradicted:
             # The contradiction began within the path by which a place is doubted; what stood before that still does.
             back = walked[one.last] - walked[one.rows]
-            if back[0] >= 2 * tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
+            if back[0] >= 2 * tested and not _mostly_disagree(met, agreed):
                 stands[one.rows] = back >= tested
         is_tested = walked[one.last] - walked[one.first] >= tested and not one.is_contradicted
         if agreed.any() and not is_tested:
             stands[one.first : one.first + int(np.flatnonzero(agreed)[-1]) + 1] = True
-        elif is_tested and (not met.any() or agreed.sum() >= 0.5 * met.sum()):
+        elif is_tested and not _mostly_disagree(met, agreed):
             stands[one.rows] = True
     return stands
+
+
+def refuted(estimates: Sequence[PoseEstimate], both: Mask, agree: Mask) -> Mask:
+    """Rows of stretches that are contradicted, (n,): by what follows at once, or mostly by the other direction."""
+    found = np.zeros(len(estimates), dtype=np.bool_)
+    for one in stretches(estimates):
+        found[one.rows] = one.is_contradicted or _mostly_disagree(both[one.rows], agree[one.rows])
+    return found
+
+
+def _mostly_disagree(met: Mask, agreed: Mask) -> bool:
+    """Whether both directions meet, and agree at less than half of these poses."""
+    return bool(met.any()) and bool(agreed.sum() < 0.5 * met.sum())
