@@ -4,10 +4,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.localization.hindsight import REFUTED, agreement, believed, join, refuted, stretches
+from magmatch.localization.hindsight import REFUTED, agreement, believed, in_order, join, refuted, stretches
 from magmatch.localization.localize import localize
 
 NO_BIAS = np.zeros(3)
@@ -126,3 +128,23 @@ def test_a_fix_that_nothing_contradicts_is_said_to_wait_for_its_test(place, foll
     assert REFUTED not in said
     assert "it is stated once it has stood" in track.result().reason
     assert track.estimates[-1].probability >= 0.99
+
+
+def test_what_is_unstated_is_searched_for_before_the_first_stated_pose_and_lost_after_it():
+    searching = PoseEstimate(LocalizerStatus.SEARCHING, "", probability=0.5)
+    joined = in_order(join(at(3, 7), at(3, otherwise=searching)))
+    words = [e.status.value for e in joined]
+    assert words == ["searching"] * 3 + ["localized"] + ["lost"] * 3 + ["localized"] + ["lost"] * 2
+    assert {e.status for e in in_order(join(at(), at()))} == {LocalizerStatus.SEARCHING}
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_no_stated_pose_is_less_accurate_than_asked_for(place, followed, live):
+    # Beyond half the errors that the walk has otherwise.
+    limit = float(np.median(followed.track.sd[:, 0]))
+    config = LocalizerConfig()
+    decision = config.decision.model_copy(update={"max_sd_translation": limit})
+    track = localize(place, followed.log, config.model_copy(update={"decision": decision}), live=live)
+    assert track.is_stated.any()
+    assert track.sd[:, 0].max() <= limit
+    assert any("too uncertain" in e.reason and e.is_place_known for e in track.estimates)

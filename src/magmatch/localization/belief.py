@@ -7,10 +7,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of, worst_sd
+from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of
 from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
+from magmatch.localization.estimate import (
+    LocalizerStatus,
+    PoseEstimate,
+    PoseHypothesis,
+    if_accurate,
+    too_uncertain,
+    uncertain_words,
+)
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.measurement import FIT, LatestBins, follow
 from magmatch.localization.null_model import UnrelatedFields
@@ -41,7 +48,7 @@ NOTHING: Posterior[WeighedHypothesis] = Posterior((), (), 0.0, 1.0)
 
 
 def untested_words(found: str, tested: float) -> str:
-    """Say why a place that was found is not stated yet: it has not been known for the path (m) that puts it to test."""
+    """Say why a place that was found is not stated yet: it has not been known for the path (m) that tests it."""
     return f"{found}; it is stated once it has stood {tested:.3g} m"
 
 
@@ -192,9 +199,7 @@ class Belief:
             self._follow_other_drifts()
             return
         self._trail = []
-        self._words = (
-            f"the place is known ({self._words}), but the pose is too uncertain: {off}" if off else self._why()
-        )
+        self._words = uncertain_words(self._words, off) if off else self._why()
 
     def _follow_other_drifts(self) -> None:
         """Follow the trusted pose also under other drifts of the odometry, of which evidence tells in time."""
@@ -225,14 +230,13 @@ class Belief:
         return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
 
     def _too_uncertain(self) -> str:
-        """How far the best pose's standard deviations, in the worst direction, exceed the limits; nothing if not."""
-        best, most = self._found.poses[0], self._config.decision.max_sd(self._known.length)
-        sd = worst_sd(covariance_of(best.one, self._known, best.factor))
-        if all(one <= limit for one, limit in zip(sd, most, strict=True)):
-            return ""
-        (shift, turn), (shift_limit, turn_limit) = sd, most
-        words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
-        return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
+        """How far the best pose at the last bin exceeds the limits; nothing if not."""
+        best = self._found.poses[0]
+        return too_uncertain(covariance_of(best.one, self._known, best.factor), self._most_sd)
+
+    @property
+    def _most_sd(self) -> tuple[float, float]:
+        return self._config.decision.max_sd(self._known.length)
 
     def estimate(self, T: Matrix, *, at_once: bool) -> PoseEstimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
@@ -246,12 +250,14 @@ class Belief:
         # Outside the map nothing tells how odometry drifts: that it does so less than stated was learned inside.
         row = 0 if self.is_inside else int(np.argmax(likely["drift"] >= 1))
         said = stated(likely[row : row + 1].copy(), last, T, self._known, self._model, factor)[0]
-        return PoseEstimate(
+        found = PoseEstimate(
             LocalizerStatus.LOCALIZED if self.is_inside else LocalizerStatus.DEAD_RECKONING,
             self._words if self.is_inside else f"{self._words}, outside what the map knows",
             said["T"], said["covariance"], self._found.best, said["bias"], said["bias_sd"], float(said["scale"]),
             self._known.name, float(said["gain"]), float(said["drift"]), is_place_known=True,
         )  # fmt: skip
+        # It is less certain than at the last bin by the way since, and outside by other odds of the drift.
+        return found if at_once else if_accurate(found, self._most_sd)
 
     @property
     def _path_to_stand(self) -> float:

@@ -4,9 +4,11 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.brief import brief
+from magmatch.estimation.posterior import worst_sd
 from magmatch.geometry import transform_from_product
 from magmatch.typing import Covariance6, Matrix, Vector3
 
@@ -95,3 +97,29 @@ class PoseEstimate:
     def T_map_body(self) -> RigidTransform | None:
         """Map's frame from the body's, computed on demand; None unless localized or dead reckoning."""
         return None if self.matrix is None else transform_from_product(self.matrix)
+
+
+def if_accurate(estimate: PoseEstimate, most: tuple[float, float]) -> PoseEstimate:
+    """The estimate; one whose pose has larger standard deviations than allowed (m, rad) states the place only."""
+    if estimate.covariance is None or not (off := too_uncertain(estimate.covariance, most)):
+        return estimate
+    words = uncertain_words(estimate.reason, off)
+    return PoseEstimate(LocalizerStatus.LOST, words, probability=estimate.probability, is_place_known=True)
+
+
+def too_uncertain(covariance: Covariance6, most: tuple[float, float]) -> str:
+    """How far a pose's standard deviations, in the worst direction, exceed the limits (m, rad); nothing if not."""
+    variances, (shift_limit, turn_limit) = covariance.diagonal().tolist(), most
+    # No direction is worse than all axes together.
+    if sum(variances[3:]) <= shift_limit**2 and sum(variances[:3]) <= turn_limit**2:
+        return ""
+    shift, turn = worst_sd(covariance)
+    if shift <= shift_limit and turn <= turn_limit:
+        return ""
+    words = f"sd {shift:.3g} m, {np.degrees(turn):.3g} degrees"
+    return f"{words}; at most {shift_limit:.3g} m, {np.degrees(turn_limit):.3g} degrees are asked for (--max-sd)"
+
+
+def uncertain_words(found: str, off: str) -> str:
+    """Say that a place is known, and how far its pose exceeds the limits."""
+    return f"the place is known ({found}), but the pose is too uncertain: {off}"

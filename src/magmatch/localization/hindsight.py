@@ -20,7 +20,7 @@ from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked, transform_from_product
 from magmatch.localization.belief import BIN_LENGTH, untested_words
 from magmatch.localization.config import LocalizerConfig
-from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
+from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, if_accurate
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.localization.likely_maps import LikelyMaps
@@ -44,7 +44,10 @@ def smooth(known: KnownPlaces, walk: Survey, config: LocalizerConfig) -> Track:
     steps_back = np.concatenate([[0.0], steps[:0:-1]])
     stands = _only(forward, both, agree, steps, tested)
     stands_back = _only(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
-    joined = join(stands, stands_back)
+    lengths = {} if known.atlas is None else {entry.name: entry.table.length for entry in known.atlas.entries}
+    joined = in_order(
+        [if_accurate(e, config.decision.max_sd(lengths.get(e.map or "", length))) for e in join(stands, stands_back)]
+    )
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
     places = back.places if back.is_stated.any() and not there.is_stated.any() else there.places
     return replace(there, estimates=joined, seconds=seconds, places=places)
@@ -103,6 +106,16 @@ def join(forward: Sequence[PoseEstimate], backward: Sequence[PoseEstimate]) -> l
     for n, T, covariance in zip(rows, matrices, (C + np.swapaxes(C, 1, 2)) / 2, strict=True):
         joined[n] = replace(joined[n], matrix=T, covariance=covariance)
     return joined
+
+
+def in_order(joined: Sequence[PoseEstimate]) -> list[PoseEstimate]:
+    """Estimates of both directions in the log's: what is unstated is searched for up to the first pose, then lost."""
+    first = next((n for n, e in enumerate(joined) if e.is_stated), len(joined))
+    unstated = [LocalizerStatus.SEARCHING] * first + [LocalizerStatus.LOST] * (len(joined) - first)
+    return [
+        e if e.is_stated or e.status is status else replace(e, status=status)
+        for e, status in zip(joined, unstated, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,8 @@ class Localizer:
     def estimate(self, *, at_once: bool = False) -> PoseEstimate:
         """Give the present estimate; its ``T_map_body`` is None unless the pose is stated.
 
-        ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands.
+        ``at_once``: a place need not have stood before it is stated, since the caller will see whether it stands, and
+        whether the pose is accurate enough in the end.
         """
         best = self._maps.best
         if self._is_refuted:
