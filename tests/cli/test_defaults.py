@@ -62,7 +62,7 @@ STATED = {
         c.decision.max_sd_translation_in_lengths, degrees(c.decision.max_sd_rotation),
     ),
     ("slam", "--odometry-sd"): lambda c: c.odometry.sd,
-    ("localize", "--odometry-sd"): lambda c: c.odometry.sd,
+    ("localize", "--odometry-sd"): lambda c: c.settled().odometry.sd,
     ("localize", "--min-probability"): lambda c: (c.decision.min_probability,),
     ("localize", "--max-sd"): lambda c: (c.decision.max_sd_translation, degrees(c.decision.max_sd_rotation)),
 }  # fmt: skip

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import magmatch as mm
 from magmatch.cli.inputs import logs_in
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
@@ -274,3 +275,40 @@ def test_a_walk_loses_no_sample_to_its_dead_reckoning_with_a_warning(export, tmp
     done = run("info", export, "--trajectory", tmp_path / "walk.tum")
     assert "without a pose" not in done.err
     assert len(read_walk(export)) == len(readings()[0])
+
+
+def featureless_room():
+    """A map in which nothing is searched, since its field tells no places apart."""
+    numbers = mm.FieldConfig(prior="spline", lengthscale=1.0, signal_sd=5e-6, noise_sd=1e-7, spacing=0.5)
+    return mm.build_map(mm.Survey(np.random.default_rng(0).uniform(0, 2, (40, 3)), np.full((40, 3), 2e-5)), numbers)
+
+
+@pytest.mark.parametrize(
+    ("words", "stated", "expected"),
+    [
+        ([], {}, [0.5, 6.0]),
+        ([], {"odometry": {"turn_share": 0.4}}, [0.5, 6.0]),
+        ([], {"odometry": {"sd": [0.15, 2.0]}}, [0.15, 2.0]),
+        (["--odometry-sd", "0.15,2"], {}, [0.15, 2.0]),
+    ],
+)
+def test_both_doors_take_the_same_drift_of_a_dead_reckoned_log(words, stated, expected, export, tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    room, walk = featureless_room(), read_walk(export)
+    room.save(tmp_path / "room.map")
+    (tmp_path / "settings.yaml").write_text(json.dumps(stated))
+    asked = [*words, "--out", tmp_path / "where.tum", "--config", tmp_path / "settings.yaml", "--json"]
+    told = json.loads(run("localize", tmp_path / "room.map", export, *asked).out)
+    assert told["config"]["odometry"]["sd"] == expected
+    if not words:
+        track = mm.localize(room, walk, mm.LocalizerConfig(**stated))
+        assert track.result().to_dict()["config"] == told["config"]
+
+
+def test_poses_of_a_file_of_their_own_are_not_dead_reckoned(export, tmp_path, run):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    run("odometry", export, "--out", tmp_path / "walk.tum")
+    walk = read_walk(export, SurveyFormat(trajectory=tmp_path / "walk.tum"))
+    assert not walk.is_dead_reckoned
+    track = mm.localize(featureless_room(), walk, live=True)
+    assert track.config.odometry.sd == (0.15, 2.0)

@@ -81,6 +81,9 @@ class Survey:
     waypoints : SurveyedPoints, optional
         Points of a plan that a phone's walker marked, at times of the survey but in the plan's frame: `slam` has
         them as fixed points. They are in no table or map that is saved.
+    is_dead_reckoned : bool
+        Whether the positions are a phone's dead reckoning, which drifts more than a robot's odometry: `localize` then
+        has another default. It is in no table or map that is saved.
     """
 
     positions: Points
@@ -91,6 +94,7 @@ class Survey:
     name: str = "survey"
     pose_sd: float = 0.0
     waypoints: SurveyedPoints | None = field_of(default=None, metadata={"is_saved": False})
+    is_dead_reckoned: bool = field_of(default=False, metadata={"is_saved": False})
 
     def __post_init__(self) -> None:
         expect_kind(self.name, "name", (str,))

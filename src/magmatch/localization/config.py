@@ -2,20 +2,41 @@
 """Settings of the localisation in a known map; lengths in field lengths, over which the map's field changes."""
 
 from math import radians
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from magmatch.estimation.posterior import RIGHT_WITHIN
-from magmatch.preparation.odometry.drift import OdometryConfig
+from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD, Drift, OdometryConfig
 from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.settings import Settings
+
+# Drift of a robot's odometry, m and degrees after 10 m.
+ODOMETRY_SD: Drift = (0.15, 2.0)
+
+
+def _stated(given: Any) -> Any:
+    """Odometry as slam has it states its drift."""
+    return given.model_dump() if type(given) is OdometryConfig else given
+
+
+class LogOdometryConfig(OdometryConfig):
+    """Drift of a log's odometry, which follows from what gave its poses unless it is stated."""
+
+    # None: that of a robot's or another device's odometry; of dead reckoning, that of a phone.
+    sd: Drift | None = None  # type: ignore[assignment]  # a drift once it is settled
+
+    @property
+    def drift(self) -> Drift:
+        """The standard deviations that are stated, or else those of a robot's odometry."""
+        return ODOMETRY_SD if self.sd is None else self.sd
 
 
 class LocalizerConfig(Settings):
     """Everything that shapes a localisation, stage by stage."""
 
     # Drift of the odometry; pedestrians' steps are up to a tenth longer or shorter than the average.
-    odometry: OdometryConfig = Field(default_factory=lambda: OdometryConfig(sd=(0.15, 2.0), scale_sd=0.05))
+    odometry: Annotated[LogOdometryConfig, BeforeValidator(_stated)] = Field(default_factory=LogOdometryConfig)
     # Whether z is up in the map's frame and the odometry's, and whether the body keeps one height, the map's, too.
     is_gravity_aligned: bool = True
     is_planar: bool = False
@@ -54,6 +75,13 @@ class LocalizerConfig(Settings):
     # Two hypotheses that differ by less are one answer, as in a registration, whose heading moves more points than a
     # body's. That a coarser pose would do does not make two places one.
     same_rotation: float = Field(default=RIGHT_WITHIN * 0.16, gt=0)
+
+    def settled(self, *, is_dead_reckoned: bool = False) -> "LocalizerConfig":
+        """The settings for a log: the drift that none stated is that of what gave the poses."""
+        if self.odometry.sd is not None:
+            return self
+        sd = DEAD_RECKONING_SD if is_dead_reckoned else self.odometry.drift
+        return self.model_copy(update={"odometry": self.odometry.model_copy(update={"sd": sd})})
 
     def same(self, length: float) -> tuple[float, float]:
         """Within what two hypotheses are one answer (m, rad), given the field length (m): less than may be stated."""

@@ -54,4 +54,5 @@ def localize(
     config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     with followed(progress):
-        return (follow_log if live else smooth)(KnownPlaces(place), log, config)
+        settled = config.settled(is_dead_reckoned=log.is_dead_reckoned)
+        return (follow_log if live else smooth)(KnownPlaces(place), log, settled)

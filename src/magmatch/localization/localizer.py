@@ -39,7 +39,7 @@ class Localizer:
         expect_kind(config, "config", (LocalizerConfig,))
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
-            self._maps = LikelyMaps(known, config)
+            self._maps = LikelyMaps(known, config.settled())
         # While a trusted place is outside its map, nothing puts it to the test: the path since may be that of a body
         # that is in the map elsewhere, and is looked for as if the log began there.
         self._anew: LikelyMaps | None = None

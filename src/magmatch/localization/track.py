@@ -140,7 +140,7 @@ class Track:
             },
             odometry={
                 "scale": float(final.scale or 1.0),
-                "sd": [float(final.drift or 1.0) * sd for sd in self.config.odometry.sd],
+                "sd": [float(final.drift or 1.0) * sd for sd in self.config.odometry.drift],
             },
         )
 

@@ -67,7 +67,6 @@ def localize(
     from magmatch.localization.config import LocalizerConfig
     from magmatch.localization.known_places import open_place
     from magmatch.localization.localize import localize as run
-    from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD
     from magmatch.preparation.odometry.open_walk import open_walk
 
     switches = vertical(planar=planar, no_gravity=no_gravity)
@@ -81,9 +80,6 @@ def localize(
     settings = settings.model_copy(update=switches)
     # Both before a log is dead reckoned.
     opened, known = open_walk(log, layouts.of(), with_points=False), open_place(place)
-    if opened.given is None and odometry_sd is None and settings.odometry == LocalizerConfig().odometry:
-        drift = settings.odometry.model_copy(update={"sd": DEAD_RECKONING_SD})
-        settings = settings.model_copy(update={"odometry": drift})
     walk = opened.survey(say)
     track = run(known, walk, settings, live=live)
     result = track.result()

@@ -36,19 +36,24 @@ class OdometryConfig(Settings):
     turn_share: float = Field(default=0.5, ge=0)
 
     @property
+    def drift(self) -> Drift:
+        """Standard deviations after a walk of 10 m."""
+        return self.sd
+
+    @property
     def translation_sd(self) -> float:
         """Standard deviation of the place after a metre walked, m."""
-        return self.sd[0] / float(np.sqrt(STATED_OVER))
+        return self.drift[0] / float(np.sqrt(STATED_OVER))
 
     @property
     def rotation_sd(self) -> float:
         """Standard deviation of the heading after a metre walked, rad."""
-        return float(np.radians(self.sd[1]) / np.sqrt(STATED_OVER))
+        return float(np.radians(self.drift[1]) / np.sqrt(STATED_OVER))
 
     @property
     def turn_rate_sd(self) -> float:
         """Standard deviation of the constant error of the turn rate, rad/m."""
-        return float(np.radians(self.turn_share * self.sd[1]) / STATED_OVER)
+        return float(np.radians(self.turn_share * self.drift[1]) / STATED_OVER)
 
 
 def lie_level(surveys: Sequence[Survey]) -> bool:

@@ -3,7 +3,7 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from magmatch.data.formats.format import SurveyFormat
@@ -48,7 +48,7 @@ class OpenedWalk:
         assert self.phone is not None
         walk = dead_reckon(self.phone)
         say(f"Dead reckoning of {self.path.name}: {len(walk.steps)} steps, {walk.length:.1f} m")
-        return survey_of_phone(self.phone, self.layout, walk.trajectory)
+        return replace(survey_of_phone(self.phone, self.layout, walk.trajectory), is_dead_reckoned=True)
 
 
 def open_walk(path: str | Path, layout: SurveyFormat | None = None, *, with_points: bool = True) -> OpenedWalk:
