@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+import magmatch as mm
 from magmatch.data.read import read_survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_error
@@ -326,3 +327,18 @@ def test_command_is_recorded_without_where_files_lie(monkeypatch):
     words = ["magmatch", "evaluate", "office", "--out", "/home/me", "--seeds", "3", "--from=/data", "--minutes", "5"]
     monkeypatch.setattr(sys, "argv", words)
     assert _command() == "magmatch evaluate office --seeds 3"
+
+
+@pytest.mark.parametrize(("unit", "said"), [("m", "z of 1.2"), ("mm", "z of 1200")])
+def test_query_of_points_without_a_height_names_that_of_a_planar_map(unit, said, run, tmp_path):
+    rng = np.random.default_rng(0)
+    p = np.column_stack([rng.uniform(0, 2, (40, 2)), np.full(40, 1.2)])
+    numbers = mm.FieldConfig(prior="spline", lengthscale=1.0, signal_sd=5e-6, noise_sd=1e-7, spacing=0.5)
+    for name, lifted in (("floor.map", p), ("room.map", p + np.outer(np.arange(40), [0, 0, 0.05]))):
+        mm.build_map(mm.Survey(lifted, 1e-6 * rng.normal([20, 0, -45], 2, (40, 3))), numbers).save(tmp_path / name)
+    (tmp_path / "points.csv").write_text("x,y\n1,1\n")
+    asked = [tmp_path / "points.csv", "--length-unit", unit, "--out", tmp_path / "field.csv"]
+    words = run("query", tmp_path / "floor.map", *asked).err
+    assert "missing z; found x, y" in words
+    assert f"a column {said}" in words
+    assert "a column z of" not in run("query", tmp_path / "room.map", *asked).err

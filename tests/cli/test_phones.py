@@ -312,3 +312,12 @@ def test_poses_of_a_file_of_their_own_are_not_dead_reckoned(export, tmp_path, ru
     assert not walk.is_dead_reckoned
     track = mm.localize(featureless_room(), walk, live=True)
     assert track.config.odometry.sd == (0.15, 2.0)
+
+
+def test_a_log_without_magnetometer_is_told_which_sensors_it_has(export, tmp_path):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    with zipfile.ZipFile(export) as whole, zipfile.ZipFile(tmp_path / "walk.zip", "w") as part:
+        for name in ("TotalAcceleration.csv", "Gyroscope.csv"):
+            part.writestr(name, whole.read(name))
+    with pytest.raises(DataFormatError, match="of the magnetometer for a survey; found sensors: gyroscope, accelero"):
+        open_walk(tmp_path / "walk.zip")

@@ -59,3 +59,14 @@ def test_a_log_whose_z_is_evidently_not_up_is_told_so_where_it_is_never_found(fo
     assert "--no-gravity" in said
     free = replace(nowhere, config=track.config.model_copy(update={"is_gravity_aligned": False}))
     assert "--no-gravity" not in free.result().reason
+
+
+def test_a_dead_reckoned_log_that_is_never_found_is_told_how_the_phone_has_to_be_held(followed):
+    nowhere = replace(followed.track, estimates=[replace(e, matrix=None) for e in followed.track.estimates])
+    held = "dead reckoning takes the phone's upper end to point forward"
+    assert held not in nowhere.result().reason
+    reckoned = replace(nowhere, log=replace(followed.log, is_dead_reckoned=True))
+    assert reckoned.result().reason.endswith(f"; {held}")
+    # A body that has not moved was not looked for.
+    still = replace(reckoned, estimates=[replace(e, probability=0.0) for e in reckoned.estimates])
+    assert held not in still.result().reason

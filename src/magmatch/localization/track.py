@@ -24,6 +24,8 @@ from magmatch.localization.result import LocalizationResult, LocalizationStatus,
 from magmatch.localization.samples import MOST_STEP
 from magmatch.typing import Mask, Scalars
 
+# What dead reckoning relies on, and no reading tells.
+HELD = "dead reckoning takes the phone's upper end to point forward"
 # Most moments at which a result gives the standard deviation.
 MOST_SD = 200
 
@@ -112,7 +114,8 @@ class Track:
         times, is_stated, last = self.log.times, self.is_stated, self.estimates[-1]
         assert times is not None
         wrong = [] if is_stated.any() else self._wrong()
-        reason = "; ".join([*map(str, wrong[:1]), last.reason])
+        held = [HELD] if self.log.is_dead_reckoned and not is_stated.any() and last.probability > 0 else []
+        reason = "; ".join([*map(str, wrong[:1]), last.reason, *held])
         found = LocalizationResult(
             LocalizationStatus.NEVER, reason, segments=tuple(self._segments()), is_planar=self.config.is_planar,
             seconds=dict(self.seconds), config=self.config.model_dump(mode="json"), version=__version__,

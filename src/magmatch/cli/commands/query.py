@@ -41,11 +41,12 @@ def query(
     from magmatch.data.tables.table import write_table
     from magmatch.field.query import query_map
     from magmatch.number_text import many
+    from magmatch.preparation.odometry.drift import height_of
 
     check_outputs((out,), inputs=(field_map, points))
     loaded = read_map(field_map)  # first: what is swapped is no map
     stated = {("", "length_unit"): length_unit, ("", "origin"): origin_of(loaded.survey.frame)}
-    p_map = read_points(points, Layouts(stated).of())
+    p_map = read_points(points, Layouts(stated).of(), height_of([loaded.survey]))
     table = query_map(loaded, p_map, with_gradient=gradient)
     write_table(out, table)
     n_known = int(loaded.knows(p_map).sum())

@@ -117,10 +117,10 @@ def recording_of_table(
     return with_poses(table.path, table.columns["t"], field, layout)
 
 
-def read_points(path: str | Path, layout: SurveyFormat) -> Points:
+def read_points(path: str | Path, layout: SurveyFormat, height: float | None = None) -> Points:
     """Positions of any CSV with columns ``x, y, z``, in metres and in the file's order; or of places on the globe.
 
-    Of these the layout must state the origin.
+    Of these the layout must state the origin. The height (m) is advised where only z is missing.
     """
 
     def choose(names: Sequence[str]) -> Mapping[str, str]:
@@ -133,7 +133,8 @@ def read_points(path: str | Path, layout: SurveyFormat) -> Points:
     table = read_table(path, Wanted(POSITION_COLUMNS, choose=choose, advise=lambda _: advice))
     table = table.renamed(choose(table.names))
     names, metre = position_columns(table), METRE_PER_UNIT[layout.length_unit]
-    table.require(names)
+    hint = "" if height is None else f"The map keeps one height: add a column z of {height / metre:.4g}"
+    table.require(names, hint if names == POSITION_COLUMNS and table.has("x", "y") else "")
     return (
         table.stack(*names) * metre if names == POSITION_COLUMNS else local_positions(table, metre, layout.origin)[0]
     )

@@ -58,8 +58,13 @@ class OdometryConfig(Settings):
 
 def lie_level(surveys: Sequence[Survey]) -> bool:
     """Whether all logs keep one height, as well as one floor is trusted to, and their bodies the same way up."""
+    return height_of(surveys) is not None and all(_stays_upright(survey) for survey in surveys)
+
+
+def height_of(surveys: Sequence[Survey]) -> float | None:
+    """The height that all logs keep, m, as well as one floor is trusted to; None where they do not."""
     heights = np.concatenate([survey.positions[:, 2] for survey in surveys])
-    return float(np.ptp(heights)) <= 2 * LEVEL_SD and all(_stays_upright(survey) for survey in surveys)
+    return float(np.median(heights)) if float(np.ptp(heights)) <= 2 * LEVEL_SD else None
 
 
 def _stays_upright(survey: Survey) -> bool:

@@ -76,8 +76,9 @@ def open_walk(path: str | Path, layout: SurveyFormat | None = None, *, with_poin
     if is_phone and layout.trajectory is None:
         read = read_phone_log(path, READ, recover=layout.recover, with_points=with_points)
         usable(read)
-        if "field" not in read.streams:
-            read_phone_log(path, ["raw_field"], recover=layout.recover).require("raw_field", "a survey")
+        has_field = "field" in read.streams
+        if not has_field and not read_phone_log(path, ["raw_field"], recover=layout.recover).streams:
+            read.require("field", "a survey")
         return OpenedWalk(path, layout, None, read)
     if is_phone and with_points:
         read_phone_log(path, ["field"], recover=layout.recover, with_points=True)  # says what is wrong with them
