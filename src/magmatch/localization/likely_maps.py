@@ -52,12 +52,12 @@ class LikelyMaps:
     @property
     def is_outside(self) -> bool:
         """Whether a body whose place is trusted is outside of what its map knows."""
-        return self.best is not None and self.best.is_sure and not self.best.is_inside
+        return (best := self.best) is not None and best.is_sure and not best.is_inside
 
     @property
     def is_settled(self) -> bool:
         """Whether a place is trusted, and stands."""
-        return self.best is not None and self.best.is_sure and self.best.stands
+        return (best := self.best) is not None and best.is_sure and best.stands
 
     def take(self, done: Bin, may_search: Callable[[], bool] = lambda: True) -> None:
         """Take a bin along the path: follow, doubt, search and judge."""
