@@ -3,6 +3,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from magmatch.data.read import read_survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.preparation.odometry.open_walk import open_walk
+from magmatch.preparation.prepare import prepare_either
 from magmatch.slam.session import Session
 
 pytestmark = pytest.mark.usefixtures("numbers_are_given")
@@ -321,3 +323,34 @@ def test_a_log_without_magnetometer_is_told_which_sensors_it_has(export, tmp_pat
             part.writestr(name, whole.read(name))
     with pytest.raises(DataFormatError, match="of the magnetometer for a survey; found sensors: gyroscope, accelero"):
         open_walk(tmp_path / "walk.zip")
+
+
+def said_of(folder, offsets, caplog):
+    """What is said of the size of the field of a log whose magnetometers have these offsets, uT."""
+    t, sensors = readings()
+    own = sensors.pop("Magnetometer")
+    with zipfile.ZipFile(folder / "walk.zip", "w") as archive:
+        for name, values in (sensors | {name: own + offset for name, offset in offsets.items()}).items():
+            archive.writestr(f"{name}.csv", table(t, values))
+    caplog.clear()
+    read_walk(folder / "walk.zip")
+    return [m for m in caplog.messages if "calibration" in m or "magnitude" in m]
+
+
+def test_the_unit_of_a_phones_field_is_known_and_its_offset_said_once(tmp_path, caplog):
+    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
+    (said,) = said_of(tmp_path, {"MagnetometerUncalibrated": [200, -150, 300]}, caplog)
+    assert "read without the phone's own calibration; expect an offset ('magmatch prepare'): the median field" in said
+    assert said_of(tmp_path, {"MagnetometerUncalibrated": [200, -150, 300], "Magnetometer": 0}, caplog) == []
+    (said,) = said_of(tmp_path, {"Magnetometer": [200, -150, 300]}, caplog)
+    assert said.endswith("unusual on Earth (about 50 uT): a magnet, or an offset of the sensor ('magmatch prepare')?")
+
+
+def test_preparing_the_phones_own_readings_says_nothing_of_the_raw_ones_size(caplog):
+    t = np.arange(400) / 10
+    p = np.column_stack([t, np.sin(t), np.zeros(400)])
+    own = mm.Survey(p, 1e-6 * (np.array([18, 3, -45]) + np.sin(p)), t, Rotation.from_euler("z", t[:, None]))
+    raw = replace(own, field=own.field + own.orientations.apply([2e-4, -1e-4, 2e-4]))
+    quick = {"time_offset": {"mode": "off"}, "disturbances": {"spikes": "off", "moving_metal": "off"}}
+    prepare_either(own, raw, mm.PreparationConfig(**quick))
+    assert not [m for m in caplog.messages if "magnitude" in m]

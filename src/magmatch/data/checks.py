@@ -58,12 +58,15 @@ ADVICE = {
 }
 
 
-def check_survey(survey: Survey, layout: SurveyFormat | None = None) -> list[str]:
-    """Raise an error for an impossible survey; otherwise list what is suspicious about it."""
+def check_survey(survey: Survey, layout: SurveyFormat | None = None, *, is_unit_known: bool = False) -> list[str]:
+    """Raise an error for an impossible survey; otherwise list what is suspicious about it.
+
+    Of a field whose unit is known the size is not doubted.
+    """
     require_survey(survey, layout)
     layout = layout or SurveyFormat()
     return [
-        *map(str, diagnose(survey, layout.field_unit)),
+        *(str(one) for one in diagnose(survey, layout.field_unit) if not (is_unit_known and one.kind == "magnitude")),
         *_doubt_field(survey),
         *_doubt_extent(survey, layout.length_unit),
         *_doubt_jumps(survey),

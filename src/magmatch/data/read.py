@@ -128,8 +128,9 @@ def read_poses(path: str | Path, layout: SurveyFormat) -> Trajectory | None:
 
 
 def _checked(path: str | Path, survey: Survey, layout: SurveyFormat) -> Survey:
-    """The survey itself; doubts are logged."""
-    for warning in check_survey(replace(survey, name=str(path)), layout):
+    """The survey itself; doubts are logged: not of a phone's unit, which is known (see `read_phone_recording`)."""
+    is_told = layout.field_unit == "uT" and kind_of(path, layout) == "phone"
+    for warning in check_survey(replace(survey, name=str(path)), layout, is_unit_known=is_told):
         logger.warning("%s: %s", path, warning)
     return survey
 

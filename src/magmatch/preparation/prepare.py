@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`prepare`: a raw log in, a corrected survey and a report of everything that was done out."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from magmatch.arguments import column_of, expect_kind
 from magmatch.data.checks import require_survey
-from magmatch.data.diagnoses import warn
+from magmatch.data.diagnoses import Diagnosis, diagnose, warn
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
@@ -66,7 +66,25 @@ def prepare(
         Nothing is left after removing disturbances.
     """
     require_survey(survey)
-    is_wrong = any(one.is_of_frames for one in warn([survey]))
+    return _prepared(
+        survey, warn([survey]), config,
+        trajectory=trajectory, channels=channels, place=place, sensor=sensor, progress=progress,
+    )  # fmt: skip
+
+
+def _prepared(
+    survey: Survey,
+    found: Sequence[Diagnosis],
+    config: PreparationConfig | None,
+    *,
+    trajectory: Trajectory | None = None,
+    channels: Mapping[str, Scalars] | None = None,
+    place: Place | None = None,
+    sensor: SensorCorrection | None = None,
+    progress: Progress | None = None,
+) -> tuple[Survey, PreparationReport]:
+    """Prepare a survey in which these errors were found; see `prepare`."""
+    is_wrong = any(one.is_of_frames for one in found)
     config = config or PreparationConfig()
     expect_kind(config, "config", (PreparationConfig,))
     if trajectory is not None:
@@ -115,7 +133,9 @@ def prepare_either(
     if raw is None:
         return prepare(own, config, **known)
     tell("preparing the phone's own readings, then the raw ones")
-    done = {"the phone's own": prepare(own, config, **known), "raw": prepare(raw, config, **known)}
+    require_survey(raw)
+    # That raw readings are of another size than on Earth is their offset, and no news.
+    done = {"the phone's own": prepare(own, config, **known), "raw": _prepared(raw, diagnose(raw), config, **known)}
     reports = {name: report for name, (_, report) in done.items()}
     misfit = {name: _held_out(report) for name, report in reports.items()}
     before, after = misfit.values()

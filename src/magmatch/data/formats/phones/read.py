@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.phones.containers import opened_tables
@@ -18,7 +20,7 @@ from magmatch.data.formats.sniff import text_log_of
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.text import damage_told
 from magmatch.data.trajectory import Trajectory
-from magmatch.data.units import TESLA_PER_UNIT
+from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, field_text
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
@@ -74,19 +76,30 @@ def read_phone_recording(
     The log, if it is not given, is read, with the walker's points if they can be.
     """
     log = log or _with_points(path, sensor or "field", layout)
-    points = log.points
+    points, is_raw = log.points, False
     if sensor is None and "field" not in log.streams:
         raw = read_phone_log(path, recover=layout.recover)
         if "raw_field" in raw.streams:
-            sensor = "raw_field"
-            logger.warning(
-                "%s: read without the phone's own calibration; expect an offset ('magmatch prepare')", path
-            )
+            is_raw, sensor = True, "raw_field"
         log = raw
     stream = log.require(sensor or "field", "a survey")
+    if is_raw or (sensor is None and layout.field_unit == "uT"):
+        _warn_of_an_offset(path, stream, is_raw=is_raw)
     field = layout.turned(stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit])
     hint = "" if layout.trajectory or trajectory is not None else _odometry_hint(path)
     return replace(with_poses(path, stream.times, field, layout, hint, trajectory), waypoints=points)
+
+
+def _warn_of_an_offset(path: str | Path, stream: Stream, *, is_raw: bool) -> None:
+    """Say that raw readings have an offset, and others of another size than on Earth perhaps: the unit is known."""
+    size = float(np.median(np.linalg.norm(stream.values, axis=1)))
+    is_odd = not ORDINARY_FIELD[0] <= size <= ORDINARY_FIELD[1]
+    measured = f"the median field magnitude is {field_text(size)}, unusual on Earth (about 50 uT)" if is_odd else ""
+    if is_raw:
+        words = "%s: read without the phone's own calibration; expect an offset ('magmatch prepare')%s"
+        logger.warning(words, path, f": {measured}" if is_odd else "")
+    elif is_odd:
+        logger.warning("%s: %s: a magnet, or an offset of the sensor ('magmatch prepare')?", path, measured)
 
 
 def _with_points(path: str | Path, sensor: Sensor, layout: SurveyFormat) -> PhoneLog:
