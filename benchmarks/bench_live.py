@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Live estimation along an endless walk, one sample per call, against the published recursive update; one thread.
 
-Usage: PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16]
+Usage: OPENBLAS_NUM_THREADS=1 python benchmarks/bench_live.py [--samples 200000] [--block 16]
     [--from DIR]
 A robot walks loops through a building at 1 m/s with a 200 Hz sensor, and asks once a second of its own time for
 field, gradient and variance at 25 points within half a metre, from data at most 1 s old. Truth is a sum of dipoles.
@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from bench_field import dipole_field
-from oracles.recursive import RecursiveSparseGP
 from threadpoolctl import threadpool_limits
 
 from magmatch.data.recordings import load_recordings
@@ -21,6 +20,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import lay_inducing_grid
 from magmatch.field.inducing.kernels import DivergenceFreeKernel
 from magmatch.field.live import estimator as live
+from magmatch.published.recursion import RecursiveField
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
 
 RATE, SPEED = 200, 1.0
@@ -118,7 +118,7 @@ def run_peer(x, b, half, n_updates=100):
     x, b = x[here], b[here]
     kernel = DivergenceFreeKernel(H.lengthscale, H.signal_sd)
     nodes = lay_inducing_grid(x, 0.6 * H.lengthscale, H.lengthscale).nodes
-    state = RecursiveSparseGP.start(kernel, nodes, H.noise_sd, constant_sd=1e-4)
+    state = RecursiveField.start(kernel, nodes, H.noise_sd, constant_sd=1e-4)
     seconds = []
     for i in range(min(n_updates, len(x))):
         state, clock, _ = timed(state.update, x[i : i + 1], b[i : i + 1])

@@ -12,7 +12,7 @@ import numpy as np
 
 import magmatch as mm
 from magmatch.field.config import SPLINE
-from magmatch.geometry import log_se3, random_transform
+from magmatch.geometry import random_transform
 from magmatch.simulation.config import SimulationConfig
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, timed
@@ -66,7 +66,7 @@ def stray(own: mm.RegistrationResult, T: object) -> tuple[float, float, float]:
     """Largest deviation in standard deviations of the answer, and its turn (rad) and shift (m); inf where refused."""
     if T is None:
         return np.inf, np.inf, np.inf
-    xi = log_se3(own.T_base_target.inv() * T)
+    xi = (own.T_base_target.inv() * T).as_exp_coords()
     sd = np.sqrt(np.diag(own.covariance))
     return float(np.abs(xi / sd).max()), float(np.linalg.norm(xi[:3])), float(np.linalg.norm(xi[3:]))
 

@@ -31,7 +31,7 @@ from short_walks import stretches
 import magmatch as mm
 from magmatch.data.recordings import load_recordings
 from magmatch.data.survey import Survey
-from magmatch.estimation.posterior import Fitted, fitted, log_odds, posterior_over
+from magmatch.estimation.posterior import Fitted, answers_of, fitted, log_odds, posterior_of
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import PRESETS
@@ -106,7 +106,7 @@ def weighed(index: MapIndex, target: Survey | mm.FieldMap, samples: Survey, sear
         answer = settle_and_decide(found, config.decision, clock)
         tolerance = config.decision.tolerance(found.pair.length)
         poses = []
-        for p in posterior_over(found.ranked, tolerance).poses:
+        for p in posterior_of(answers_of(found.ranked, tolerance)).poses:
             T = found.pair.estimate(p).T_base_target.as_matrix().tolist()
             poses.append({"kind": p.kind, "log_evidence": p.log_evidence, "misfit": p.misfit, "T": T})
         yield {"status": answer.status.value, "reason": answer.reason, "tolerance": tolerance, "poses": poses}

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
-from magmatch.geometry import log_se3, random_transform, transform_error
+from magmatch.geometry import random_transform, transform_error
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.magnets import field_of
 from magmatch.simulation.structures import around_box, calibrated
@@ -74,7 +74,7 @@ def work(name: str) -> dict[str, object]:
         if (a, b) in direct:
             against.append(off(merged, T) / off(direct[a, b].T_first_second, T))
         else:
-            xi = log_se3(merged.inv() * T)
+            xi = (merged.inv() * T).as_exp_coords()
             nees.append(float(xi @ np.linalg.solve(graph.relative_covariances(np.array([a]), b)[0], xi)) / 6)
     wrong = sum(
         c.is_kept and (c.second == n or off(c.T_first_second, true[c.first, c.second]) > FAR) for c in graph.closures

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.typing import Indices, Mask, Points
+from magmatch.typing import Indices, Mask, Points, Scalars
 
 # Size of a stretch: in lengthscales, at most this share of the extent.
 STRETCH_IN_LENGTHSCALES, STRETCH_IN_EXTENTS = 4.0, 0.25
@@ -61,20 +61,22 @@ def has_path_order(points: Points) -> bool:
     if len(points) < 3:
         return False
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    # Where one stood, further readings are no steps; and half of the way is walked in shorter ones than this.
-    points = points[np.append(True, steps > 0)]
-    steps = np.sort(steps)
-    walked = np.cumsum(steps)
-    step = steps[np.searchsorted(walked, walked[-1] / 2)]
-    spread = np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1))
-    return bool(step < 0.15 * spread)
+    places = points[np.append(True, steps > 0)]
+    spread = np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1))
+    return bool(typical_step(steps) < 0.15 * spread)
+
+
+def typical_step(steps: Scalars) -> float:
+    """Median of the steps between samples: further readings at one place are none."""
+    walked = steps[steps > 0]
+    return float(np.median(walked)) if len(walked) else 0.0
 
 
 def path_segments(points: Points, length: float) -> Indices:
     """Number the stretches of a path of a length (m), shortened where the path would not give ten."""
     step = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
     # Jumps between merged surveys are no path.
-    along = np.cumsum(np.minimum(step, 10 * np.median(step) + length / 10))
+    along = np.cumsum(np.minimum(step, 10 * typical_step(step) + length / 10))
     n_segments = max(10, int(along[-1] / max(length, 1e-12)))
     segment = (along / max(along[-1], 1e-300) * n_segments).astype(np.int64)
     return np.asarray(np.minimum(segment, n_segments - 1))

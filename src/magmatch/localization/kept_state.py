@@ -64,6 +64,7 @@ def restored(
     if len(ready) < len(soon):
         raise NotReadyError
     # The second, if there is one, is what the path since the first's map was left says by itself.
+    config = localizer._maps.config  # settled
     looks = [localizer._maps, LikelyMaps(known, config)][: len(state["maps"])]
     for maps, kept in zip(looks, state["maps"], strict=True):
         maps._bins, maps._n_until_vote, maps.likely = kept["bins"], kept["n_until_vote"], {}

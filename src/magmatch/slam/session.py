@@ -152,7 +152,8 @@ class Session:
         self._changed()
         self._warn_of_a_wrong_point()
         if places.maker is not None and config.is_gravity_aligned:
-            warn_of_turned_fields(self.trajectories, self.components, places.maker.length)
+            n_known = len(given) - len(logs)
+            warn_of_turned_fields(self.trajectories, self.components, places.maker.length, n_known)
 
     def _warn_of_a_wrong_point(self) -> None:
         """Name the fixed point without which all else agrees best, where they contradict each other or the log."""
@@ -268,9 +269,13 @@ class Session:
     def trajectories(self) -> list[Survey]:
         """Each log with corrected positions, orientations and field, in the frame of its component."""
         graph, origin = self.graph, self._now.stated.origin
-        return [
-            replace(corrected(path, graph), frame=frame_of(k, origin if graph.is_fixed(path.first_node) else None))
+        frames = [
+            frame_of(k, origin if graph.is_fixed(path.first_node) else None)
             for path, k in zip(self.paths, self.component_of, strict=True)
+        ]
+        return [
+            replace(corrected(path, graph), frame=frame, is_dead_reckoned=False)
+            for path, frame in zip(self.paths, frames, strict=True)
         ]
 
     @cached_property

@@ -25,9 +25,9 @@ log = logging.getLogger(__name__)
 
 # Field lengths: of a bin, and within which two logs pass the same place.
 BIN, NEAR = 0.5, 0.25
-# Fewest bins of a log near another: the fit has seven unknowns.
+# Fewest bins of a log near another: the fit has eight unknowns.
 MIN_MET = 20
-# Share of the difference's variance that is left without the turn, at most: half the difference itself.
+# Share of the difference's variance that may be left once the turn is taken out: of half the difference.
 LEFT = 0.25
 # Log odds of a turn, at least, nats: a thousand to one.
 SURE = float(np.log(1000.0))
@@ -46,10 +46,19 @@ class _Passed:
     axes: np.ndarray  # (n, k): of its sensor, in which its bias is constant; without orientations, those of the frame
 
 
-def warn_of_turned_fields(logs: Sequence[Survey], components: Sequence[Sequence[int]], length: float) -> None:
-    """Name logs whose field is turned against that of the others; ``length`` (m): over which the field changes."""
+def warn_of_turned_fields(
+    logs: Sequence[Survey], components: Sequence[Sequence[int]], length: float, n_known: int = 0
+) -> None:
+    """Name logs whose field is turned against that of the others; ``length`` (m): over which the field changes.
+
+    Nothing is said again of the first ``n_known`` logs among themselves.
+    """
     for group in components:
+        if max(group) < n_known or len(group) == 1:
+            continue
         for one, angle, others in turned_logs([logs[k] for k in group], length):
+            if max(group[one], *(group[k] for k in others)) < n_known:
+                continue
             against = ", ".join(in_short([logs[group[k]].name for k in others]))
             log.warning(
                 "%s: its field is turned by %.0f degrees about the vertical against that of %s at the same places: "

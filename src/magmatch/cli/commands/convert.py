@@ -85,10 +85,8 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
     else:
         (write_vtk if suffix == ".vtk" else write_ply_cloud)(grid, out)
     n_known = np.count_nonzero(grid.is_known)
-    say(
-        f"Grid of {' x '.join(str(len(axis)) for axis in grid.axes)} points, {grid.spacing:.4g} m apart; the map knows "
-        f"the field at {n_known} of them"
-    )
+    size = " x ".join(str(len(axis)) for axis in grid.axes)
+    say(f"Grid of {size} points, {grid.spacing:.4g} m apart; the map knows the field at {n_known} of them")
 
 
 def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:

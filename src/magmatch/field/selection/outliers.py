@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
-from magmatch.field.folds import has_path_order
+from magmatch.field.folds import has_path_order, typical_step
 from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.values import gradient_norm, gradient_of
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
@@ -147,7 +147,7 @@ def _are_denied(points: Points, residual: Vectors, is_large: Mask, reach: float)
     is_witness = np.isfinite(distance) & (number != large[:, None])
     if has_path_order(points):
         # A passing lift affects many consecutive samples: they must not confirm each other.
-        step = float(np.median(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        step = typical_step(np.linalg.norm(np.diff(points, axis=0), axis=1))
         same_pass = SAME_PASS * reach / max(step, 1e-300)
         is_witness &= np.abs(number - large[:, None]) > same_pass
     around = residual[np.where(is_witness, number, 0)]

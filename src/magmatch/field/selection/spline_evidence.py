@@ -27,7 +27,7 @@ from magmatch.field.cholesky.cells import HALF_STENCIL, CellGrid, lay_cells
 from magmatch.field.cholesky.multifrontal import CholeskyFactor, Factors, factorise
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
-from magmatch.field.folds import has_path_order
+from magmatch.field.folds import has_path_order, typical_step
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.spline.spline_prior import constant_precision, relative_prior_precision
@@ -161,7 +161,7 @@ class EvidenceSearch:
         step = np.linalg.norm(np.diff(self.points, axis=0), axis=1)[np.diff(self.order) == 1]
         if len(step) and has_path_order(self.points):
             # These share what the model cannot follow there.
-            in_a_quarter_cell = h.spacing / 4 / max(float(np.median(step)), 1e-300)
+            in_a_quarter_cell = h.spacing / 4 / max(typical_step(step), 1e-300)
         mean = SplinePosterior(h, self._model(h).cells, Factors.gone(), self._fit(h).weights)
         residual = self.field - mean.evaluate(self.points).field
         correlated = integrated_autocorrelation_time(residual, self.order)

@@ -43,7 +43,9 @@ START, START_OF_A_PATH = (120.0, 3000.0), (12.0, 300.0)
 LEAST_INFLATION = 1.3
 # The half of what is left out that is nearest to other passes counts; the rest crosses none and tells nothing. The
 # mean of the roots of their errors is taken, so that the few that nothing could predict do not dominate.
-SHARE, POWER, EQUALLY_FAR = 0.5, 0.5, 1e-6
+SHARE, POWER = 0.5, 0.5
+# Distances that differ by less than this share are equal, as those of regular lanes are: rounding chooses none.
+EQUALLY_FAR = 1e-6
 INFLATIONS = np.geomspace(1.3, 8.0, 13)
 
 
@@ -164,7 +166,6 @@ def cross_validate_path(search: EvidenceSearch, h: Hyperparameters, lengthscale:
 
     errors, variances = zip(*side_by_side(predict, left_out), strict=True)
     distance = np.concatenate([cKDTree(points[~fold]).query(points[fold])[0] for fold in left_out])
-    # Of lanes equally far apart, all: rounding does not choose among them.
     is_near = distance <= np.quantile(distance, SHARE) * (1 + EQUALLY_FAR)
     return HeldOutErrors(np.concatenate(errors), np.concatenate(variances), is_near)
 
