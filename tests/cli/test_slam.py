@@ -4,14 +4,12 @@
 import json
 import shutil
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import magmatch as mm
 from drifting import GIVEN, Place, drifting_walk, trajectory_error
-from magmatch.cli.commands.slam import warn_of_a_mirrored_plan
 from magmatch.cli.main import main
 from magmatch.slam.result import SlamResult
 
@@ -184,21 +182,6 @@ def test_fixed_points_give_their_frame_and_one_that_cannot_be_is_one_line(run, r
     words = ["slam", logs / "short.csv", "--anchors", points, "--continue", "--out", tmp_path / "out"]
     refused(words, "points.csv, line 2: is in metres, ")
     assert {path.name for path in tmp_path.iterdir()} == {"out", "points.csv"}
-
-
-@pytest.mark.parametrize("is_swapped", [False, True])
-def test_a_mirrored_plan_of_fixed_points_is_told(is_swapped, capsys):
-    walk, truth = drifting_walk(Place(1), 1)
-    turned = truth[:, :2] @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + 50  # the plan's own frame
-    plan = turned[:, ::-1] if is_swapped else turned * [1, -1]
-    for places, n, is_told in ((plan, 6, True), (turned, 6, False), (plan, 3, False)):
-        at = np.linspace(5, len(walk) - 5, n).astype(int)
-        points = [mm.Anchor("walk", walk.times[k], np.array([*places[k], 0.0]), 0.1) for k in at]
-        warn_of_a_mirrored_plan([(point, 0) for point in points], [walk])
-        assert ("fit its path mirrored" in capsys.readouterr().err) is is_told
-    in_degrees = [replace(point, position=np.array([49.0, 11.0, 0.0]), in_degrees=True) for point in points]
-    warn_of_a_mirrored_plan([(point, 0) for point in in_degrees], [walk])
-    assert not capsys.readouterr().err
 
 
 def test_one_more_log_is_added_to_a_folder(run, refused, logs, corrected, tmp_path):

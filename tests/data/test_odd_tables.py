@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.phones.tables import columns_of
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.errors import DataFormatError
 from magmatch.number_text import many
@@ -205,3 +206,18 @@ def test_a_table_without_known_names_says_which_line_it_takes_for_the_header(tmp
         read_survey(tmp_path / "walk.csv")
     with pytest.raises(DataFormatError, match=r"walk\.csv, line 2: expected a column 'b1' for bx, found survey, of"):
         read_survey(tmp_path / "walk.csv", SurveyFormat(columns="bx=b1,by=my,bz=mz"))
+
+
+@pytest.mark.parametrize("above", ["0.0,1.0,2.0", "0.05,1,2,3", "0,1,2,3,1e-5,2e-5,3e-5"])
+def test_numbers_above_a_header_are_no_titles(above, tmp_path):
+    """They are samples, of a log that was joined or cut: no header hides them."""
+    rows = "\n".join(f"{0.1 * k},{k},0,0,{1e-5 + 1e-7 * k},2e-5,3e-5" for k in range(30))
+    path = tmp_path / "joined.csv"
+    path.write_text(f"{above}\nt,x,y,z,bx,by,bz\n{rows}\n")
+    with pytest.raises(DataFormatError):
+        read_survey(path)
+
+
+def test_a_survey_in_millimetres_is_no_phones_log():
+    names = "timestamp (s),x (mm),y (mm),z (mm),B x (µT),B y (µT),B z (µT)"
+    assert columns_of([name.lower() for name in names.split(",")], "survey") is None

@@ -183,7 +183,8 @@ def test_without_a_pose_nothing_is_settled_and_the_answer_is_a_result():
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_duplicated_sample_adds_next_to_nothing(seed):
-    """Every sample twice, of either side or of both: not twice the evidence, but a tenth more or so.
+    """Every sample twice, of either side or of both: not twice the evidence, but an eighth more at most:
+    what is read twice is known better, and nobody can tell copies from readings.
 
     The map's numbers are given, for learned ones believe in less noise where samples agree to the bit.
     """

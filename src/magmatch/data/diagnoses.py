@@ -31,7 +31,7 @@ from magmatch.data.geodesy import Origin
 from magmatch.data.sensor_axes import FEW, HALF, RESOLVED
 from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import origin_of
-from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit
+from magmatch.data.units import TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit, unusual_size
 from magmatch.errors import in_short
 from magmatch.geometry import path_walked
 from magmatch.typing import Scalars, Vector3, Vectors
@@ -133,12 +133,11 @@ def warn(surveys: Iterable[Survey]) -> list[Diagnosis]:
 def of_magnitude(survey: Survey, unit: FieldUnit) -> Iterator[Diagnosis]:
     """Whether a field, read in that unit, is of another size than near the Earth's surface."""
     median = float(np.median(np.linalg.norm(survey.field, axis=1)))
-    if not ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
+    if measured := unusual_size(median):
         likely = likely_field_unit(median / TESLA_PER_UNIT[unit])
         remedy = "a wrong unit, or a magnet?"
         if likely:
             remedy = f"if the file is in {likely}, use --field-unit {likely}; else the sensor has an offset"
-        measured = f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT)"
         yield Diagnosis("magnitude", measured, remedy)
 
 

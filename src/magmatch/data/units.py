@@ -59,6 +59,13 @@ def likely_field_unit(median_number: float) -> FieldUnit | None:
     return min(fits)[1] if fits else None
 
 
+def unusual_size(median: float) -> str:
+    """Say that a field's median magnitude (T) is not one near the Earth's surface; nothing if it is."""
+    if ORDINARY_FIELD[0] <= median <= ORDINARY_FIELD[1]:
+        return ""
+    return f"the median field magnitude is {field_text(median)}, unusual on Earth (about 50 uT)"
+
+
 def field_text(tesla: float) -> str:
     """Field strength to three digits, in a unit that a reader can picture.
 

@@ -134,7 +134,7 @@ def prepare_either(
         return prepare(own, config, **known)
     tell("preparing the phone's own readings, then the raw ones")
     require_survey(raw)
-    # That raw readings are of another size than on Earth is their offset, and no news.
+    # Wrong frames are told of the phone's own; that raw readings are of another size than on Earth is their offset.
     done = {"the phone's own": prepare(own, config, **known), "raw": _prepared(raw, diagnose(raw), config, **known)}
     reports = {name: report for name, (_, report) in done.items()}
     misfit = {name: _held_out(report) for name, report in reports.items()}

@@ -26,7 +26,14 @@ from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor, in_metres, of_logs, read_anchors, waypoints_of
+from magmatch.slam.graph.anchors import (
+    Anchor,
+    in_metres,
+    of_logs,
+    read_anchors,
+    warn_of_a_mirrored_plan,
+    waypoints_of,
+)
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import most_contradicted
@@ -138,6 +145,7 @@ class Session:
         known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}
         passed = of_logs(listed, given, names_of(given))
         fixed = [(a, of) for a, of in passed if (of, a.numbers) not in known]
+        warn_of_a_mirrored_plan(fixed, given)
         if earlier is None or earlier.maker is None:
             config = settled(given, config)
         with followed(progress), Runner(run, keep, KINDS) as runner:

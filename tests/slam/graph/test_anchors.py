@@ -13,7 +13,14 @@ from drifting import Place, about_z, drifting_walk, trajectory_error
 from magmatch.data.geodesy import Origin, local_east_north
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import Anchor, fixed_points, in_metres, of_logs, read_anchors
+from magmatch.slam.graph.anchors import (
+    Anchor,
+    fixed_points,
+    in_metres,
+    of_logs,
+    read_anchors,
+    warn_of_a_mirrored_plan,
+)
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
@@ -295,3 +302,16 @@ def test_fixed_points_stand_in_g2o_where_the_graph_has_them(tmp_path):
     tied = [(v[:3], T[j].translation - T[i].translation) for i, j, v in edges if i == n]
     assert len(tied) == 3
     np.testing.assert_allclose(*zip(*tied, strict=True))
+
+
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_a_mirrored_plan_of_fixed_points_is_told(is_swapped, caplog):
+    walk, truth = drifting_walk(Place(1), 1)
+    turned = truth[:, :2] @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + 50  # the plan's own frame
+    plan = turned[:, ::-1] if is_swapped else turned * [1, -1]
+    for places, n, is_told in ((plan, 6, True), (turned, 6, False), (plan, 3, False)):
+        at = np.linspace(5, len(walk) - 5, n).astype(int)
+        points = [Anchor("walk", walk.times[k], np.array([*places[k], 0.0]), 0.1) for k in at]
+        caplog.clear()
+        warn_of_a_mirrored_plan([(point, 0) for point in points], [walk])
+        assert ("fit its path mirrored" in caplog.text) is is_told

@@ -84,7 +84,7 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
         write_netcdf(grid, out, field_map.survey.frame)
     else:
         (write_vtk if suffix == ".vtk" else write_ply_cloud)(grid, out)
-    n_known = np.count_nonzero(grid.is_known)
+    n_known = int(grid.is_known.sum())
     size = " x ".join(str(len(axis)) for axis in grid.axes)
     say(f"Grid of {size} points, {grid.spacing:.4g} m apart; the map knows the field at {n_known} of them")
 

@@ -16,9 +16,7 @@ from magmatch.cli.sessions import deliver
 from magmatch.cli.settings import merged
 
 if TYPE_CHECKING:
-    from magmatch.data.survey import Survey
     from magmatch.slam.config import SlamConfig
-    from magmatch.slam.graph.anchors import Anchor
 
 EXAMPLES = (
     "magmatch slam walk.csv --out corrected",
@@ -114,7 +112,7 @@ def slam(
     with processes(jobs, scheduler, ahead=2) as run:
         walks = [open_walk(path, layouts.of(), with_points=not no_waypoints) for path in logs]
         names = [path.name for path in logs]
-        passed = of_named(surveyed, names, unique_stems(names), [walk.span for walk in walks])
+        of_named(surveyed, names, unique_stems(names), [walk.span for walk in walks])
         for walk in walks:
             if walk.given is not None:
                 require_walk(walk.given)
@@ -124,7 +122,6 @@ def slam(
         if kept is not None:
             in_metres(surveyed, kept[1]["stated"]["origin"], [a for a, _ in kept[1]["anchors"]])
         surveys = [walk.survey(say) for walk in walks]
-        warn_of_a_mirrored_plan(passed, surveys)
         if not any(":" not in text for text in odometry_sd or []):
             stated = {path.name: read_drift(path, layouts.of()) for path in logs}
             sd_of_logs = {name: sd for name, sd in stated.items() if sd} | settings.sd_of_logs
@@ -138,24 +135,6 @@ def slam(
     words = ["slam", *map(str, asked), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
     words += ["--no-waypoints"] if no_waypoints else []
     return deliver(session, out, words, poses, json=json, rerun=rerun)
-
-
-def warn_of_a_mirrored_plan(passed: "Sequence[tuple[Anchor, int]]", surveys: "Sequence[Survey]") -> None:
-    """Say so where only the mirror image of a log's fixed points fits its path."""
-    import numpy as np
-
-    from magmatch.data.surveyed_points import mirrored_misfits
-
-    for of, survey in enumerate(surveys):
-        own = [anchor for anchor, log in passed if log == of and not anchor.in_degrees]
-        if not own or survey.times is None:
-            continue
-        walked = [np.interp([anchor.t for anchor in own], survey.times, axis) for axis in survey.positions.T[:2]]
-        found = mirrored_misfits(np.array([anchor.position[:2] for anchor in own]), np.column_stack(walked))
-        if found is not None:
-            off, mirrored = found
-            fit = f"fit its path mirrored ({mirrored:.2g} m off, rms), not as given ({off:.2g} m)"
-            say(f"warning: the fixed points of {survey.name} {fit}: y counted downward, or x and y swapped?")
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

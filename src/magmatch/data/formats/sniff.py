@@ -19,7 +19,7 @@ from magmatch.data.tables.motive import is_of_motive
 from magmatch.data.tables.number_marks import is_number
 from magmatch.data.tables.pipes import at_rest
 from magmatch.data.tables.text import damage_told, is_folder, is_gzip, read_bytes, text_lines
-from magmatch.data.tables.text_rows import MAX_TITLES, delimiter_of, is_row, split_header, stated_delimiter
+from magmatch.data.tables.text_rows import MAX_TITLES, is_row, mark_of, split_header, stated_delimiter
 from magmatch.data.tables.tum import TUM_COLUMNS
 from magmatch.data.tables.yaml_text import mapping_in
 from magmatch.data.units import MEBI
@@ -152,7 +152,7 @@ def _kind_by_names(path: str | Path, first: str, mark: str | None) -> FileKind |
     """What a header names: a trajectory, and nothing that may be a field; or either, of a message of ROS."""
     if ";" in first and "," in first:  # read as a survey, which says what is wrong
         return None
-    header = header_of(split_header(first, mark if mark and mark in first else delimiter_of(path, first, 1)))
+    header = header_of(split_header(first, mark_of(path, first, 1, mark)))
     others = {name for word, name in zip(header.words, header.names, strict=True) if word} - set(TUM_COLUMNS)
     is_message = is_of_rostopic(header.words)
     if header.names_all(TUM_COLUMNS) and (is_message or others <= {"?"}):

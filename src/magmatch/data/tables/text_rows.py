@@ -89,7 +89,7 @@ def rows_of(
     top = at[0] if at else len(lines)
     first = lines[top] if at else ""
     above = [line.strip().lstrip("#").strip() for line in lines[:top] if not is_row(line)]
-    return Rows(lines, at, [line for line in above if line], _mark_of(path, first, top + 1, mark) if at else None)
+    return Rows(lines, at, [line for line in above if line], mark_of(path, first, top + 1, mark) if at else None)
 
 
 def _n_titles(
@@ -99,15 +99,18 @@ def _n_titles(
     mark: str | None,
     is_header: Callable[[int, list[str]], bool],
 ) -> int:
-    """Count the rows above the first that is a header for sure; none where no row is."""
+    """Count the rows above the first that is a header for sure; none where no row is, or numbers stand above it."""
     for n, i in enumerate(at[:MAX_TITLES]):
         with suppress(DataFormatError):  # what is no header
-            if is_header(i + 1, split_header(lines[i], _mark_of(path, lines[i], i + 1, mark))):
+            cells = split_header(lines[i], mark_of(path, lines[i], i + 1, mark))
+            if cells and is_header(i + 1, cells):
                 return n
+            if len(cells) > 1 and all(is_sample(cell) for cell in cells if cell):
+                return 0  # samples, which no header may hide
     return 0
 
 
-def _mark_of(path: str | Path, row: str, line: int, stated: str | None) -> str | None:
+def mark_of(path: str | Path, row: str, line: int, stated: str | None) -> str | None:
     """What separates the cells of a row: the mark that is stated, if the row has it."""
     return stated if stated and stated in row else delimiter_of(path, row, line)
 

@@ -12,7 +12,7 @@ from magmatch.arguments import column_of, number_of, numbers_of
 from magmatch.compiled import NOTICE
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
-from magmatch.data.surveyed_points import SurveyedPoints
+from magmatch.data.surveyed_points import SurveyedPoints, mirrored_misfits
 from magmatch.data.tables.table import Wanted, read_table
 from magmatch.data.tables.text_rows import listed
 from magmatch.data.units import CLOCKS_APART
@@ -162,6 +162,23 @@ def of_named(
             raise ConfigurationError(msg)
         found.append((anchor, of))
     return found
+
+
+def warn_of_a_mirrored_plan(passed: Sequence[tuple[Anchor, int]], logs: Sequence[Survey]) -> None:
+    """Say so where only the mirror image of a log's fixed points, in metres, fits its path."""
+    for of, survey in enumerate(logs):
+        own = [anchor for anchor, log in passed if log == of]
+        if not own or survey.times is None:
+            continue
+        at = [anchor.t for anchor in own]
+        walked = np.column_stack([np.interp(at, survey.times, axis) for axis in survey.positions.T[:2]])
+        found = mirrored_misfits(np.array([anchor.position[:2] for anchor in own]), walked)
+        if found is not None:
+            logger.warning(
+                "the fixed points of %s fit its path mirrored (%.2g m off, rms), not as given (%.2g m): y counted "
+                "downward, or x and y swapped?",
+                survey.name, found[1], found[0],
+            )  # fmt: skip
 
 
 def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -> FixedPoints:

@@ -20,7 +20,7 @@ from magmatch.data.formats.sniff import text_log_of
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.text import damage_told
 from magmatch.data.trajectory import Trajectory
-from magmatch.data.units import ORDINARY_FIELD, TESLA_PER_UNIT, field_text
+from magmatch.data.units import TESLA_PER_UNIT, unusual_size
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
@@ -91,14 +91,12 @@ def read_phone_recording(
 
 
 def _warn_of_an_offset(path: str | Path, stream: Stream, *, is_raw: bool) -> None:
-    """Say that raw readings have an offset, and others of another size than on Earth perhaps: the unit is known."""
-    size = float(np.median(np.linalg.norm(stream.values, axis=1)))
-    is_odd = not ORDINARY_FIELD[0] <= size <= ORDINARY_FIELD[1]
-    measured = f"the median field magnitude is {field_text(size)}, unusual on Earth (about 50 uT)" if is_odd else ""
+    """Warn of raw readings, which have an offset, and of a size unusual on Earth, which an offset explains."""
+    measured = unusual_size(float(np.median(np.linalg.norm(stream.values, axis=1))))
     if is_raw:
         words = "%s: read without the phone's own calibration; expect an offset ('magmatch prepare')%s"
-        logger.warning(words, path, f": {measured}" if is_odd else "")
-    elif is_odd:
+        logger.warning(words, path, f": {measured}" if measured else "")
+    elif measured:
         logger.warning("%s: %s: a magnet, or an offset of the sensor ('magmatch prepare')?", path, measured)
 
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, WORDS, Sensor, Stream, stream_of
 from magmatch.data.formats.phones.tagged_rows import read_tagged
+from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import decimal_of_cells
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import Rows, listed, rows_of
-from magmatch.data.units import DIGITS_OF_SECOND, TimeUnit
+from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, TimeUnit
 from magmatch.errors import DataFormatError
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -152,7 +153,7 @@ def _clock_of(names: list[str]) -> tuple[str, str]:
     for app, (times, _) in _TIMES.items():
         if time := next((name for name in names if name in times), ""):
             return app, time
-    is_survey = any(name.endswith("(m)") for name in names)
+    is_survey = any(unit in METRE_PER_UNIT for unit in header_of(names).units.values())
     return ("phyphox", names[0]) if _TRANSLATED_TIME.fullmatch(names[0]) and not is_survey else ("", "")
 
 
