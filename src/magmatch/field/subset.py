@@ -19,7 +19,7 @@ def distinct_places(points: Points) -> Points:
     """Each place once, however many readings it has."""
     order = np.lexsort(points.T)
     is_new = np.append(True, (np.diff(points[order], axis=0) != 0).any(axis=1))
-    return points[np.sort(order[is_new])]
+    return points[np.sort(order[is_new])]  # type: ignore[no-any-return]
 
 
 def sample_distance(places: Points) -> float:
@@ -38,7 +38,7 @@ def choose_part(points: Points, n_samples: int, n_places: int) -> Mask:
 
     def from_place(place: Vector3) -> Scalars:
         # Those equally far, as on a grid, are so whatever rounding says.
-        return np.round(((points - place) ** 2).sum(axis=1) / alike)
+        return np.round(((points - place) ** 2).sum(axis=1) / alike)  # type: ignore[no-any-return]
 
     distance = from_place(points[int(np.argmin(from_place(np.median(points, axis=0))))])
     # Next: a place further from what was chosen than most, so that corners do not stand for the whole.
