@@ -24,6 +24,12 @@ KINDS = ("map", "walk")
 # m and rad
 TOLERANCE = (0.5, 0.2)
 
+
+def weighed(poses, *given):
+    """The posterior over poses, given odds and what is elsewhere."""
+    return posterior_of(answers_of(poses, TOLERANCE), *given)
+
+
 evidences, misfits, kinds = st.floats(-300, 3000, allow_subnormal=False), st.floats(0.05, 50), st.sampled_from(KINDS)
 prior_odds = st.floats(1e-6, 1e6)
 laws = st.builds(
@@ -47,7 +53,7 @@ elsewheres = st.one_of(st.just(-np.inf), st.floats(-30, 60))
 
 @given(poses=many_apart, odds=prior_odds, elsewhere=elsewheres)
 def test_probabilities_of_poses_of_elsewhere_and_of_unrelated_surveys_add_to_one(poses, odds, elsewhere):
-    posterior = posterior_of(answers_of(poses, TOLERANCE), odds, elsewhere)
+    posterior = weighed(poses, odds, elsewhere)
     every = [*posterior.probabilities, posterior.elsewhere, posterior.null]
     assert sum(every) == pytest.approx(1, abs=1e-12)
     assert min(every) >= 0
@@ -60,7 +66,7 @@ def test_probabilities_of_poses_of_elsewhere_and_of_unrelated_surveys_add_to_one
 @given(e=st.floats(-60, 60), misfit=misfits, kind=kinds, odds=prior_odds)
 def test_prior_odds_act_as_odds(e, misfit, kind, odds):
     """Of one pose alone: what it has over the null scales with them, from what the evidence says by itself."""
-    posterior = posterior_of(answers_of([WeighedPose(log_evidence=e, misfit=misfit, kind=kind)], TOLERANCE), odds)
+    posterior = weighed([WeighedPose(log_evidence=e, misfit=misfit, kind=kind)], odds)
     assert posterior.best / posterior.null == pytest.approx(odds * np.exp(log_odds(e, misfit, kind)), rel=1e-9)
     assert posterior.rivals == 0
 
@@ -78,7 +84,7 @@ def test_more_agreement_never_lowers_a_poses_probability(poses, gain, relief, el
     """Among rivals too: of the first pose before and after its residuals become smaller."""
     one, *others = poses
     better = replace(one, log_evidence=one.log_evidence + gain, misfit=relief * one.misfit)
-    before, after = (posterior_of(answers_of([pose, *others], TOLERANCE), 1.0, elsewhere) for pose in (one, better))
+    before, after = (weighed([pose, *others], 1.0, elsewhere) for pose in (one, better))
     share = dict(zip(map(id, before.poses), before.probabilities, strict=True))[id(one)]
     improved = dict(zip(map(id, after.poses), after.probabilities, strict=True))[id(better)]
     assert improved >= share * (1 - 1e-12)
@@ -87,7 +93,7 @@ def test_more_agreement_never_lowers_a_poses_probability(poses, gain, relief, el
 
 @given(poses=many_apart.filter(bool), elsewhere=elsewheres)
 def test_a_further_pose_takes_from_all_and_gives_to_none(poses, elsewhere):
-    fewer, more = (posterior_of(answers_of(p, TOLERANCE), 1.0, elsewhere) for p in (poses[:-1], poses))
+    fewer, more = (weighed(p, 1.0, elsewhere) for p in (poses[:-1], poses))
     share = dict(zip(map(id, more.poses), more.probabilities, strict=True))
     for pose, probability in zip(fewer.poses, fewer.probabilities, strict=True):
         assert share[id(pose)] <= probability * (1 + 1e-12)
@@ -103,7 +109,7 @@ def test_evidence_against_a_pose_is_never_excused_by_misfit(e, misfit, kind, num
 @given(p=st.floats(1e-4, 1 - 1e-9), kind=kinds, odds=prior_odds)
 def test_needed_evidence_is_that_with_which_a_lone_pose_has_the_probability(p, kind, odds):
     needed = needed_evidence(p, kind, odds)
-    posterior = posterior_of(answers_of([WeighedPose(log_evidence=needed, kind=kind)], TOLERANCE), odds)
+    posterior = weighed([WeighedPose(log_evidence=needed, kind=kind)], odds)
     assert posterior.best / posterior.null == pytest.approx(p / (1 - p), rel=1e-6)
 
 
@@ -116,7 +122,7 @@ def test_the_order_of_hypotheses_does_not_matter(seed, order, values):
     """Some of one answer, some not; only odds alike to the bit would leave it to the order."""
     at = np.random.default_rng(seed).uniform(-0.5, 0.5, 7)
     poses = [shifted(x, log_evidence=float(e)) for x, e in zip(at, values, strict=True)]
-    one, other = (posterior_of(answers_of(given_so, TOLERANCE)) for given_so in (poses, [poses[k] for k in order]))
+    one, other = (weighed(given_so) for given_so in (poses, [poses[k] for k in order]))
     assert [id(h) for h in one.poses] == [id(h) for h in other.poses]
     assert (one.probabilities, one.null) == (other.probabilities, other.null)
 
@@ -137,29 +143,29 @@ def test_poses_within_tolerance_are_one_answer_and_the_most_probable_is_kept(xi,
     best = WeighedPose(T, log_evidence=100.0, center=center)
     other = WeighedPose(T * turn_about(center, np.array(xi, float)), log_evidence=90.0, center=center)
     for given_so in ([best, other], [other, best]):
-        posterior = posterior_of(answers_of(given_so, TOLERANCE))
+        posterior = weighed(given_so)
         assert posterior.poses[0] is best
         assert len(posterior.poses) == (1 if is_one_answer else 2)
-    alone = posterior_of(answers_of([best], TOLERANCE))
-    assert (posterior_of(answers_of([best, other], TOLERANCE)).best == alone.best) == is_one_answer
+    alone = weighed([best])
+    assert (weighed([best, other]).best == alone.best) == is_one_answer
 
 
 def test_a_pose_near_a_rival_that_is_one_answer_with_the_best_is_a_rival_itself():
     best, near, beyond = shifted(0.0), shifted(0.4, log_evidence=190.0), shifted(0.8, log_evidence=180.0)
-    assert posterior_of(answers_of([beyond, near, best], TOLERANCE)).poses == (best, beyond)
+    assert weighed([beyond, near, best]).poses == (best, beyond)
 
 
 def test_equal_rooms_share_what_there_is():
-    posterior = posterior_of(answers_of([shifted(k, log_evidence=900.0) for k in range(3)], TOLERANCE))
+    posterior = weighed([shifted(k, log_evidence=900.0) for k in range(3)])
     np.testing.assert_allclose(posterior.probabilities, 1 / 3, rtol=1e-6)
-    there = posterior_of(answers_of([WeighedPose(log_evidence=900.0)], TOLERANCE), 1.0, log_odds(900.0, 1.0, "map"))
+    there = weighed([WeighedPose(log_evidence=900.0)], 1.0, log_odds(900.0, 1.0, "map"))
     assert there.best == pytest.approx(0.5)
     assert there.elsewhere == there.rivals == there.best
 
 
 def test_without_a_pose_the_surveys_are_unrelated():
     for poses in ([], [WeighedPose(log_evidence=-np.inf, misfit=np.inf)]):
-        posterior = posterior_of(answers_of(poses, TOLERANCE))
+        posterior = weighed(poses)
         assert (posterior.poses, posterior.best, posterior.rivals, posterior.null) == ((), 0.0, 0.0, 1.0)
 
 
@@ -168,7 +174,7 @@ def test_chance_is_improbable_and_clear_evidence_is_not(kind):
     """The ends of the scale, whatever is fitted between them."""
 
     def probability(e, misfit=1.0):
-        return posterior_of(answers_of([WeighedPose(log_evidence=e, misfit=misfit, kind=kind)], TOLERANCE)).best
+        return weighed([WeighedPose(log_evidence=e, misfit=misfit, kind=kind)]).best
 
     assert probability(-20.0) < 0.01
     assert probability(0.0) < 0.9
@@ -181,13 +187,13 @@ def test_chance_is_improbable_and_clear_evidence_is_not(kind):
 def test_models_of_one_pose_add_up_and_poses_of_one_model_do_not(e, gap, misfit):
     rigid = shifted(0.0, log_evidence=e, misfit=misfit)
     freer, again = (shifted(0.1, log_evidence=e + gap, model=model) for model in ("bends", "rigid"))
-    (both,) = posterior_of(answers_of([rigid, freer], TOLERANCE)).answers
+    (both,) = weighed([rigid, freer]).answers
     effective = [effective_evidence(h.log_evidence, h.misfit) for h in (rigid, freer)]
     assert both.effective == pytest.approx(np.logaddexp(*effective), abs=1e-9)
     assert both.best is (rigid if effective[0] >= effective[1] else freer)
     assert sum(both.shares) == pytest.approx(1)
     assert both.shares[0] == pytest.approx(np.exp(max(effective) - both.effective))
-    (one,) = posterior_of(answers_of([rigid, again], TOLERANCE)).answers
+    (one,) = weighed([rigid, again]).answers
     assert one.effective == max(effective)
 
 
@@ -195,5 +201,5 @@ def test_models_of_a_pose_are_one_answer_where_it_is_known_less_well_than_is_ask
     rough = np.diag([0.01] * 3 + [0.5**2] * 3)
     best = shifted(0.0, covariance=rough)
     freer, rival = (shifted(1.4, log_evidence=190.0, model=model) for model in ("bends", "rigid"))
-    assert len(posterior_of(answers_of([best, freer], TOLERANCE)).answers) == 1
-    assert len(posterior_of(answers_of([best, rival], TOLERANCE)).answers) == 2
+    assert len(weighed([best, freer]).answers) == 1
+    assert len(weighed([best, rival]).answers) == 2

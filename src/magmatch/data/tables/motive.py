@@ -35,13 +35,14 @@ def read_motive(path: str | Path, lines: Sequence[str], length_unit: LengthUnit,
 
     Frames in which the body was not seen have no numbers, and are left out.
     """
-    rows = [(i, [cell.strip() for cell in split_row(line, ",")]) for i, line in enumerate(lines[:50])]
-    top = next((i for i, cells in rows if cells[0].lower() == "frame" and len(cells) > 2), 0)
-    above = [cells for i, cells in rows[1:top] if any(cells)]
+    cut = ((i, [cell.strip() for cell in split_row(line, ",")]) for i, line in enumerate(lines[:50]))
+    rows = [(i, cells) for i, cells in cut if any(cells)]
+    top, header = next(((i, cells) for i, cells in rows if cells[0].lower() == "frame" and len(cells) > 2), (0, []))
+    above = [cells for i, cells in rows[1:] if i < top]
     if len(above) < 3:
         message = "is a CSV of Motive without the rows of types and names above 'Frame': export it with its header"
         raise DataFormatError(path, message)
-    facts, header = rows[0][1], rows[top][1]
+    facts = rows[0][1]
     (types, names, *_), kinds = above, above[-1]
     stated = facts[facts.index("Length Units") + 1].lower() if "Length Units" in facts[:-1] else "none"
     if stated not in _UNITS:

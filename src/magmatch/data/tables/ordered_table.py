@@ -32,7 +32,7 @@ def read_ordered(
     states that of the times; `lone` as in `header_of`.
     """
     lines = text_lines(path)
-    if is_of_motive(lines[0]):
+    if is_of_motive(next(filter(str.strip, lines), "")):
         table = read_motive(path, lines, length_unit, recover=recover)
         table.require_increasing("t")
         return table, "s"
