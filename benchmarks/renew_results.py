@@ -56,12 +56,12 @@ class Run:
 RUNS = (
     Run(
         ("drifting-corridors",),
-        "experiments/drifting_corridors.py --seeds 40 --first 146229910 --jobs {jobs} --out {out}",
+        "experiments/drifting_corridors.py --seeds 40 --first 123958630 --jobs {jobs} --out {out}",
         14,
     ),
     Run(
         ("short-walks",),
-        "experiments/short_walks.py --tries 200 --seed 152957271 --jobs {jobs} --from {data} --out {out}",
+        "experiments/short_walks.py --tries 200 --seed 180781435 --jobs {jobs} --from {data} --out {out}",
         4,
     ),
     Run(
