@@ -200,7 +200,12 @@ def local_positions(table: Table, metre: float, stated: str | None) -> tuple[Poi
         positions = local_east_north_up(lat, lon, height, origin)
     else:
         positions = np.column_stack([local_east_north(lat, lon, origin), height])
-    return positions, f"{GLOBAL_FRAME}{origin}"
+    return positions, frame_about(origin)
+
+
+def frame_about(origin: Origin) -> str:
+    """Name of the frame whose axes point east, north and up from an origin."""
+    return f"{GLOBAL_FRAME}{origin}"
 
 
 def origin_of(frame: str) -> str | None:

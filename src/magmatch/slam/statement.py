@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.geodesy import Origin
 from magmatch.data.survey import Survey
-from magmatch.data.survey_columns import GLOBAL_FRAME
+from magmatch.data.survey_columns import frame_about
 from magmatch.field.map import FieldMap
 from magmatch.geometry import adjoint
 from magmatch.number_text import many
@@ -131,7 +131,7 @@ def guessed_drift(graph: PoseGraph, stated: SlamConfig, logs: Sequence[Survey]) 
 def frame_of(component: int, origin: tuple[float, float] | None) -> str:
     """Name of a component's frame: as readers of degrees name it, where fixed points tie it to an origin."""
     if origin is not None:
-        return f"{GLOBAL_FRAME}{Origin(*origin)}"
+        return frame_about(Origin(*origin))
     return f"map_{component + 1}" if component else "map"
 
 

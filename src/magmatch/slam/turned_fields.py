@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from magmatch.data.frame_mistakes import MOUNT
 from magmatch.data.survey import Survey
 from magmatch.errors import in_short
+from magmatch.estimation.gauss_newton import student_weights
 from magmatch.estimation.walk import bin_along_path, bin_means
 from magmatch.slam.sensor_bias import BIAS_SD
 
@@ -30,7 +31,7 @@ MIN_MET = 20
 # Share of the difference's variance that may be left once the turn is taken out: of half the difference.
 LEFT = 0.25
 # Log odds of a turn, at least, nats: a thousand to one.
-SURE = float(np.log(1000.0))
+LEAST_ODDS = float(np.log(1000.0))
 # Steps of the reweighting, and the least variance, T^2: of a nanotesla.
 STEPS, LEAST = 10, 1e-18
 # Median of the squared norm of two normal numbers, in their variance.
@@ -119,7 +120,7 @@ def _turn_between(one: _Passed, other: _Passed, length: float) -> float | None:
     (before, s_before), (after, s_after) = _biases(axes, g - f), _biases(axes, g - np.exp(1j * turn) * f)
     # Bins within a length tell the same.
     odds = BIN * len(here) * np.log(s_before / s_after) + (before @ before - after @ after) / (2 * BIAS_SD**2)
-    is_turned = abs(turn) >= np.radians(MOUNT) and s_after <= LEFT * s_before and odds >= SURE
+    is_turned = abs(turn) >= np.radians(MOUNT) and s_after <= LEFT * s_before and odds >= LEAST_ODDS
     return -turn if is_turned else 0.0
 
 
@@ -133,5 +134,6 @@ def _biases(A: np.ndarray, y: np.ndarray, n_free: int = 0) -> tuple[np.ndarray, 
         x = np.linalg.lstsq(AtW @ A + s * prior, AtW @ b, rcond=None)[0]  # a vertical field tells no turn
         d2 = (np.reshape(b - A @ x, (2, -1)) ** 2).sum(axis=0)
         s = max(float(np.median(d2)) / MEDIAN2, LEAST)
-        w = 1 / (1 + d2 / (4 * s))  # Cauchy's
+        # Weights are one where nothing is off, so that the prior of the biases counts as stated.
+        w = student_weights(d2 / s, 2) / student_weights(np.zeros(1), 2)
     return x, s
