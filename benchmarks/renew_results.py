@@ -124,7 +124,7 @@ def main() -> int:
         __doc__, dry_run=False, jobs=os.cpu_count() or 1, data=Path, out=Path("results-output"), only=[]
     )
     root = Path(__file__).parents[1]
-    history, data = History(root), asked.data or RECORDINGS
+    history, data = History.of(root), asked.data or RECORDINGS
     some = [run for run in RUNS if not asked.only or set(asked.only) & set(run.tables)]
     wanted = to_do(some, history, data)
     print(f"{sum(run.minutes for run in wanted):.0f} min in all", flush=True)

@@ -8,7 +8,8 @@
 A page has ``<!-- table: NAME {"columns": [...], "where": {COLUMN: [CELLS]}, "counts": [...], "n": COLUMN} -->`` where
 a table begins and ``<!-- end -->`` where it ends; columns and rows are all where none are chosen, and counts of n get
 95 % intervals. A table is older than the code where what it covers differs from its commit by more than comments and
-docstrings: in the folder, so that a page and the change that ages its tables can be one commit.
+docstrings: in the folder, so that a page and the change that ages its tables can be one commit. Two commits of which
+``experiments/same_answers.py`` found all answers alike count as one, for the code that it runs.
 """
 
 import ast
@@ -17,7 +18,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from magmatch_evaluation.saved_table import FOLDER, ResultTable, markdown_table
@@ -27,6 +28,7 @@ from magmatch_evaluation.statistics import wilson_interval
 PAGES = (Path("README.md"), Path("docs") / "results.md")
 MARK = re.compile(r"(<!-- table: ([\w-]+) ?(\{.*?\})? ?-->\n).*?(<!-- end -->)", re.DOTALL)
 NOT_RECORDED = "not recorded"
+ALIKE = "same-answers"
 COUNT = re.compile(r"^([\d,]+)( of [\d,]+| \(\d+%\))?")  # at the beginning of a cell
 
 
@@ -35,6 +37,13 @@ class History:
     """What git knows about the folder."""
 
     root: Path
+    alike: ResultTable | None = None  # pairs of commits that answer the same to the bit, and the code that answers
+
+    @classmethod
+    def of(cls, root: Path) -> "History":
+        """Give the history of a folder, with what was found alike in it."""
+        path = root / FOLDER / f"{ALIKE}.json"
+        return cls(root, ResultTable.load(path) if path.exists() else None)
 
     def git(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Ask git about the folder."""
@@ -55,21 +64,39 @@ class History:
 
         def differs(path: str) -> bool:
             is_new = self.git("ls-files", "--others", "--exclude-standard", "--", path).stdout
-            return bool(is_new) or any(self.code_differs(commit, path) for commit in table.commits)
+            return bool(is_new) or any(
+                all(self.code_differs(same, path) for same in self.same_answers(commit, path))
+                for commit in table.commits
+            )
 
         return [path for path in table.covers if not table.commits or differs(path)]
 
-    def code_differs(self, commit: str, path: str) -> bool:
-        """Whether a file, or one below a folder, differs from a commit by more than comments and docstrings."""
-        found = self.git("diff", "--name-status", "--no-renames", commit, "--", path)
+    def same_answers(self, commit: str, path: str) -> list[str]:
+        """A commit, and those after it whose code at a path was found to answer the same."""
+        found = [commit]
+        if self.alike is not None and any(Path(path).is_relative_to(code) for code in self.alike.covers):
+            for before, after, _ in self.alike.rows:
+                found += [after] if any(not self.code_differs(one, path, before) for one in found) else []
+        return found
+
+    def code_differs(self, commit: str, path: str, other: str | None = None) -> bool:
+        """Whether a file, or one below a folder, differs from a commit by more than comments and docstrings.
+
+        It is the file as it lies in the folder, or of another commit.
+        """
+        commits = [commit] if other is None else [commit, other]
+        found = self.git("diff", "--name-status", "--no-renames", *commits, "--", path)
         changes = [line.split("\t") for line in found.stdout.splitlines()]
         return found.returncode != 0 or any(
             status != "M"
             or not name.endswith(".py")
-            or code_of(self.git("show", f"{commit}:{name}").stdout)
-            != code_of((self.root / name).read_text(encoding="utf-8"))
+            or code_of(self.text(name, commit)) != code_of(self.text(name, other))
             for status, name in changes
         )
+
+    def text(self, name: str, commit: str | None) -> str:
+        """A file of a commit, or as it lies in the folder."""
+        return self.git("show", f"{commit}:{name}").stdout if commit else (self.root / name).read_text("utf-8")
 
 
 def code_of(source: str) -> str:
@@ -84,9 +111,16 @@ def code_of(source: str) -> str:
 def caption(table: ResultTable, history: History) -> str:
     """Say what printed a table, and of when it is."""
     commits = ", ".join(commit[:7] for commit in table.commits) or NOT_RECORDED
-    changed = ", ".join(f"`{Path(path).name}`" for path in history.changed(table))
-    age = f" **Changed since: {changed}.**" if changed else ""
+    changed = history.changed(table)
+    rewritten = [path for path in replace(history, alike=None).changed(table) if path not in changed]
+    age = f" Rewritten since, with the same answers to the bit: {names(rewritten)}." if rewritten else ""
+    age += f" **Changed since: {names(changed)}.**" if changed else ""
     return f"`{table.command}`; commit {commits}, {table.date}.{age}"
+
+
+def names(paths: list[str]) -> str:
+    """Name the last parts of paths."""
+    return ", ".join(f"`{Path(path).name}`" for path in paths)
 
 
 def with_interval(cell: str, n: int) -> str:
@@ -162,7 +196,7 @@ def main() -> int:
     # Of another checkout, where a root is given.
     asked = arguments(__doc__, check=False, release=False, root=Path)
     root = asked.root or Path(__file__).parents[1]
-    history = History(root)
+    history = History.of(root)
     if not history.is_whole():
         print("results: no history here (an archive or a shallow clone), so the age of tables is not checked")
         return 0

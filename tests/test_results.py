@@ -156,6 +156,35 @@ def test_a_change_of_covered_code_ages_the_table_before_and_after_its_commit(roo
     assert "errors: older than the code (src); run again: python b.py" in said
 
 
+def test_code_that_was_found_to_answer_the_same_does_not_age_the_table_until_it_changes_again(root):
+    first = git(root, "rev-parse", "HEAD")
+    for text in ("x = 2 - 1\n", "x = 3 - 2\n"):
+        (root / "src" / "code.py").write_text(text)
+        last = commit(root)
+        alike = replace(table([last], covers=["src"]), columns=["before", "after", "answers"])
+        path = root / "benchmarks" / "results" / "same-answers.json"
+        rows = ResultTable.load(path).rows if path.exists() else []
+        save(root, replace(alike, rows=[*rows, [first, last, "120"]]), "same-answers")
+        results(root)
+        assert "Rewritten since, with the same answers to the bit: `src`." in page(root)
+        assert results(root, "--release")[0] == 0
+        first = last
+    (root / "src" / "code.py").write_text("x = 2\n")
+    assert results(root, "--release")[0] == 1
+
+
+def test_same_answers_say_nothing_of_code_that_did_not_answer(root):
+    first = git(root, "rev-parse", "HEAD")
+    (root / "src" / "code.py").write_text("x = 2\n")
+    alike = table([commit(root)], covers=["src/other"])
+    save(
+        root,
+        replace(alike, columns=["before", "after", "answers"], rows=[[first, *alike.commits, "9"]]),
+        "same-answers",
+    )
+    assert results(root, "--release")[0] == 1
+
+
 def test_a_change_elsewhere_ages_nothing(root):
     (root / "other.txt").write_text("b\n")
     commit(root)

@@ -3,25 +3,32 @@
 
     python benchmarks/experiments/same_answers.py make PAIRS [--from DIR]     surveys of all pairs, once
     python benchmarks/experiments/same_answers.py run PAIRS ANSWERS.jsonl [--like TEXT] [--jobs N]
-    python benchmarks/experiments/same_answers.py compare BEFORE.jsonl AFTER.jsonl
+    python benchmarks/experiments/same_answers.py compare BEFORE.jsonl AFTER.jsonl [--save same-answers]
 
 Rooms of each overlap, other places, walks, tables, corridors, planes, moved sources, corrupted sensors, recordings,
-the published method. Numbers are kept as hexadecimal floats: equal means equal to the bit. A second run goes on where
-the first ended. ``--like TEXT`` takes the pairs whose name holds it.
+the published method; some are mapped by each prior, looked for in a folder of maps, corrected by slam and localised.
+Numbers are kept as hexadecimal floats, and arrays by a digest of their bytes: equal means equal to the bit. A second
+run goes on where the first ended. ``--like TEXT`` takes the pairs whose name holds it. Where all answers are alike,
+``--save`` writes both commits down: tables of the first are then of the code of the second, too.
 """
 
+import hashlib
 import json
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
+from magmatch.simulation.config import SimulationConfig
+from magmatch_evaluation.saved_table import Saver, commits_of, saver
 from magmatch_evaluation.script import arguments, kept
 
 ROOM = {"room_size": (3.0, 3.0, 0.6), "n_samples": 1500}
@@ -30,9 +37,6 @@ KEYS = (
     "status", "reason", "T_base_target", "covariance", "probability", "evidence", "overlap", "alternatives",
     "degenerate_directions", "sensor", "residual", "fitness", "inliers", "keypoints", "correspondences", "links",
 )  # fmt: skip
-
-# Pairs that the published method is asked for, too.
-OF_PAPER = {"room-1-0", "room-0.5-1", "nowhere-0", "table-0", "z30-0", "x30-1"}
 
 
 def simulated() -> Iterator[tuple[str, str, int, dict[str, Any]]]:
@@ -87,7 +91,6 @@ def make(folder: Path, source: Path) -> None:
     """Draw all pairs; uses rooms of the package that the other verbs leave alone."""
     from magmatch.data.recordings import load_recordings
     from magmatch.geometry import random_transform
-    from magmatch.simulation.config import SimulationConfig
     from magmatch.simulation.corruption import corrupt, draw_corruption
     from magmatch_evaluation.survey_pairs import CeaArea, CeaElsewhere, Halves, Interleaved, TwoRecordings
 
@@ -131,34 +134,41 @@ def around(walk: mm.Survey, stretch: mm.Survey) -> mm.Survey:
 
 
 def exact(value: Any) -> Any:
-    """Numbers as hexadecimal, everything below as it is."""
+    """Numbers as hexadecimal, arrays as a digest, everything below as it is."""
     if isinstance(value, dict):
         return {key: exact(v) for key, v in value.items()}
     if isinstance(value, list | tuple):
         return [exact(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
     return value.hex() if isinstance(value, float) else value
 
 
 def jobs_of(folder: Path) -> Iterator[str]:
-    """Names of the pairs, each with how it is registered: ``PAIR/HOW``."""
+    """Names of the pairs, each with what is done with it: ``PAIR/HOW``."""
     names = sorted(path.name.removesuffix(".base.npz") for path in folder.glob("*.base.npz"))
     yield from (f"{name}/default" for name in names)
-    yield from (f"{name}/paper" for name in names if name in OF_PAPER)
-    yield from (f"{name}/uncalibrated" for name in names if name.startswith(("raw-", "jidling")))
-    yield from (f"{name}/upright" for name in names if name.startswith(("corridor-", "z30")))
+    for how, some in ASKED.items():
+        yield from (f"{name}/{how}" for name in names if name.startswith(some))
 
 
 def answer(folder: Path, job: str) -> dict[str, Any]:
+    """What is answered to one job, and the seconds."""
     name, how = job.split("/")
     base, target = (load(folder / f"{name}.{side}.npz") for side in ("base", "target"))
     start = time.perf_counter()
     try:
-        document = mm.register(base, target, config_of(how)).to_dict()
+        found = FOUND.get(how, registered)(base, target, how)
     except Exception as error:
-        document = dict.fromkeys(KEYS) | {"status": "fault", "reason": repr(error)}
+        found = {"fault": repr(error)}
     seconds = time.perf_counter() - start
-    print(f"{job}: {document['status']}, {seconds:.1f} s", file=sys.stderr, flush=True)
-    return {"name": job, **{key: exact(document[key]) for key in KEYS}, "took": round(seconds, 3)}
+    print(f"{job}: {found.get('status', '-')}, {seconds:.1f} s", file=sys.stderr, flush=True)
+    return {"name": job, "answer": exact(found), "took": round(seconds, 3)}
+
+
+def registered(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:
+    document = mm.register(base, target, config_of(how)).to_dict()
+    return {key: document[key] for key in KEYS}
 
 
 def config_of(how: str) -> mm.RegistrationConfig:
@@ -170,28 +180,85 @@ def config_of(how: str) -> mm.RegistrationConfig:
     return mm.RegistrationConfig.model_validate(changes.get(how, {}))
 
 
-def compare(before: Path, after: Path) -> int:
-    """Print what differs; the number of pairs that do."""
+def mapped(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:  # noqa: ARG001
+    """The base's field, its gradient and their uncertainty beside some samples."""
+    field_map, points = mm.build_map(base, mm.FieldConfig(prior=how)), base.positions[::11] + 0.05
+    values = field_map.evaluate(points, 2)
+    covariance = field_map.covariance(points, 1)
+    return {"field": values.field, "gradient": values.gradient, "second": values.second, "covariance": covariance}
+
+
+def among_maps(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:  # noqa: ARG001
+    """The pair, with another map beside the base's."""
+    other = mm.simulate("office-random", 950, SimulationConfig(n_samples=1200)).base
+    with TemporaryDirectory() as folder:
+        for k, survey in enumerate((other, base)):
+            mm.build_map(survey).save(Path(folder) / f"{k}.map")
+        document = mm.register(folder, target).to_dict()
+    return {key: document[key] for key in KEYS} | {"base": document["base"]["name"]}
+
+
+def corrected(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:  # noqa: ARG001
+    """Both walks as two logs."""
+    session = mm.slam([replace(base, name="base"), replace(target, name="target")])
+    result = session.result.to_dict()
+    paths = {log.name: log.positions for log in session.trajectories}
+    return {"logs": result["logs"], "closures": result["closures"], "status": result["status"], "paths": paths}
+
+
+def followed(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:
+    """The target's walk in the base's map, with hindsight or live."""
+    track = mm.localize(mm.build_map(base), target, live=how == "live")
+    return {"stated": track.is_stated, "poses": track.poses.as_matrix(), "sd": track.sd}
+
+
+# What is done with some pairs besides registering them by default, by the beginnings of their names.
+ASKED = {
+    "paper": ("room-1-0", "room-0.5-1", "nowhere-0", "table-0", "z30-0", "x30-1"),
+    "uncalibrated": ("raw-", "jidling"),
+    "upright": ("corridor-", "z30"),
+    "harmonic": ("room-0.5-0", "table-1", "jidling", "cea-1-0"),
+    "curl_free": ("room-0.5-0", "jidling"),
+    "divergence_free": ("room-0.5-0", "jidling"),
+    "spline": ("room-0.5-0", "table-1", "jidling", "kok-eight", "walk-20-10"),
+    "auto": ("room-0.3-0", "cea-1-0", "corridor-0"),
+    "among": ("room-0.75-1", "room-0.3-2", "walk-20-10", "nowhere-1"),
+    "slam": ("corridor-0", "drift-0.05", "walk-20-20", "hand-held-0"),
+    "localize": ("corridor-0", "drift-0.1", "walk-20-10", "walk-20-20", "nowhere-2"),
+    "live": ("corridor-1", "walk-20-11"),
+}
+PRIORS = ("harmonic", "curl_free", "divergence_free", "spline", "auto")
+FOUND = {
+    "among": among_maps, "slam": corrected, "localize": followed, "live": followed, **dict.fromkeys(PRIORS, mapped),
+}  # fmt: skip
+
+
+def compare(before: Path, after: Path, save: Saver | None) -> int:
+    """Print what differs; the number of answers that do."""
     old, new = ({(r := json.loads(line))["name"]: r for line in p.read_text().splitlines()} for p in (before, after))
     both = [name for name in old if name in new]
     n_different = 0
     for name in both:
-        keys = [key for key in KEYS if old[name][key] != new[name][key]]
+        was, now = old[name]["answer"], new[name]["answer"]
+        keys = [key for key in was | now if was.get(key) != now.get(key)]
         if keys:
             n_different += 1
             print(f"{name}: differs in {', '.join(keys)}")
             for key in keys[:3]:
-                print(f"    {key}: {str(old[name][key])[:150]} -> {str(new[name][key])[:150]}")
+                print(f"    {key}: {str(was.get(key))[:150]} -> {str(now.get(key))[:150]}")
     ratio = np.median([new[name]["took"] / old[name]["took"] for name in both]) if both else np.nan
     print(
-        f"{len(both)} pairs compared, {n_different} differ; {len(old) - len(both)} only before, "
+        f"{len(both)} answers compared, {n_different} differ; {len(old) - len(both)} only before, "
         f"{len(new) - len(both)} only after; median ratio of seconds {ratio:.2f}"
     )
+    if save is not None and not n_different and len(both) == len(old) == len(new):
+        (first,), (last,) = commits_of(old.values()), commits_of(new.values())
+        save(save.old.columns, [*save.old.rows, [first, last, str(len(both))]], commits=[last])
     return n_different
 
 
 def main() -> None:
-    asked = arguments(__doc__, (), recordings=None, like="", jobs=1)
+    asked = arguments(__doc__, (), recordings=None, like="", jobs=1, save=saver)
     verb, *places = asked.words
     paths = [Path(place) for place in places]
     if verb == "make":
@@ -200,7 +267,7 @@ def main() -> None:
         folder, answers = paths
         kept(answers, [job for job in jobs_of(folder) if asked.like in job], partial(answer, folder), jobs=asked.jobs)
     elif verb == "compare":
-        sys.exit(bool(compare(*paths)))
+        sys.exit(bool(compare(*paths, asked.save)))
 
 
 if __name__ == "__main__":
