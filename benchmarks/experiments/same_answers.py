@@ -195,19 +195,21 @@ def among_maps(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]: 
         for k, survey in enumerate((other, base)):
             mm.build_map(survey).save(Path(folder) / f"{k}.map")
         document = mm.register(folder, target).to_dict()
-    return {key: document[key] for key in KEYS} | {"base": document["base"]["name"]}
+    return {key: document[key] for key in (*KEYS, "base")}
 
 
 def corrected(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:  # noqa: ARG001
     """Both walks as two logs."""
     session = mm.slam([replace(base, name="base"), replace(target, name="target")])
-    result = session.result.to_dict()
+    result = session.result().to_dict()
     paths = {log.name: log.positions for log in session.trajectories}
     return {"logs": result["logs"], "closures": result["closures"], "status": result["status"], "paths": paths}
 
 
 def followed(base: mm.Survey, target: mm.Survey, how: str) -> dict[str, Any]:
     """The target's walk in the base's map, with hindsight or live."""
+    if target.times is None:
+        target = replace(target, times=0.02 * np.arange(len(target)))
     track = mm.localize(mm.build_map(base), target, live=how == "live")
     return {"stated": track.is_stated, "poses": track.poses.as_matrix(), "sd": track.sd}
 
@@ -225,7 +227,7 @@ ASKED = {
     "among": ("room-0.75-1", "room-0.3-2", "walk-20-10", "nowhere-1"),
     "slam": ("corridor-0", "drift-0.05", "walk-20-20", "hand-held-0"),
     "localize": ("corridor-0", "drift-0.1", "walk-20-10", "walk-20-20", "nowhere-2"),
-    "live": ("corridor-1", "walk-20-11"),
+    "live": ("corridor-1", "walk-20-20"),
 }
 PRIORS = ("harmonic", "curl_free", "divergence_free", "spline", "auto")
 FOUND = {
