@@ -2,7 +2,6 @@
 """The pose of the magnetometer on the body whose poses are given: seven numbers, or a YAML file that holds them."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -27,36 +26,34 @@ def read_extrinsic(text: str) -> RigidTransform:
     try:
         numbers = [number_of_text(word) for word in text.replace(",", " ").split()]
     except ValueError:
-        return _from_yaml(Path(text))
+        path = Path(text)
+        numbers = _from_yaml(path)
+        if problem := _problem(numbers):
+            raise DataFormatError(path, f"expected {EXPECTED}; {problem}") from None
     if problem := _problem(numbers):
         msg = f"--extrinsic: expected {EXPECTED} or the name of a YAML file; {problem}"
         raise ConfigurationError(msg)
-    return _transform(numbers)
+    turn = Rotation.from_quat(numbers[3:]) if len(numbers) == 7 else Rotation.identity()
+    return RigidTransform.from_components(numbers[:3], turn)
 
 
-def _from_yaml(path: Path) -> RigidTransform:
+def _from_yaml(path: Path) -> list[float]:
+    """Translation and rotation that a file names, by axes or as lists."""
     content = mapping_in(read_yaml(path, read_bytes(path), "; expected the extrinsic of the magnetometer"))
-    content = content.get("transform", content)
+    content, numbers = content.get("transform", content), []
     try:
-        numbers = _listed(content["translation"], "xyz") + _listed(content["rotation"], "xyzw")
+        for key, axes in (("translation", "xyz"), ("rotation", "xyzw")):
+            part = content[key]
+            values = [part[axis] for axis in axes] if isinstance(part, dict) else part
+            numbers += [float(value) for value, _ in zip(values, axes, strict=True)]
     except (KeyError, TypeError, ValueError):
         message = "expected translation: {x, y, z} and rotation: {x, y, z, w}, or lists of 3 and 4 numbers"
         raise DataFormatError(path, message) from None
-    if problem := _problem(numbers):
-        raise DataFormatError(path, f"expected {EXPECTED}; {problem}")
-    return _transform(numbers)
-
-
-def _listed(part: Any, names: str) -> list[float]:
-    values = [part[name] for name in names] if isinstance(part, dict) else list(part)
-    if len(values) != len(names):
-        msg = f"expected {len(names)} numbers"
-        raise ValueError(msg)
-    return [float(value) for value in values]
+    return numbers
 
 
 def _problem(numbers: list[float]) -> str:
-    """Say what is wrong with seven numbers; nothing where nothing is."""
+    """Say what is wrong with numbers that should be three or seven; nothing where nothing is."""
     if len(numbers) not in {3, 7}:
         return f"found {len(numbers)} numbers"
     if not np.isfinite(numbers).all():
@@ -64,8 +61,3 @@ def _problem(numbers: list[float]) -> str:
     if len(numbers) == 7 and abs(float(np.linalg.norm(numbers[3:])) - 1) > MAX_NORM_ERROR:
         return f"found a quaternion of length {np.linalg.norm(numbers[3:]):.4g}"
     return ""
-
-
-def _transform(numbers: list[float]) -> RigidTransform:
-    turn = Rotation.from_quat(numbers[3:]) if len(numbers) == 7 else Rotation.identity()
-    return RigidTransform.from_components(numbers[:3], turn)

@@ -2,7 +2,9 @@
 """MATLAB files: named arrays of numbers as the columns of a survey, read by SciPy (version 7.3 by h5py)."""
 
 import logging
+import struct
 import warnings
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,7 +15,6 @@ import numpy as np
 import scipy.io
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.formats.mat_parts import require_parts
 from magmatch.data.survey_columns import (
     COLUMNS,
     FIELD_COLUMNS,
@@ -32,6 +33,12 @@ logger = logging.getLogger(__name__)
 
 # Arrays named in a message, and structures within structures.
 MOST_LISTED, DEEPEST = 24, 8
+# Types of parts, and classes of variables: MathWorks, "MAT-File Format", tables 1-1 and 1-3.
+MATRIX, COMPRESSED = 14, 15
+NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
+FLAGS = (6, 8)  # type and bytes of the first part
+SPARSE, ARRAYS, IS_COMPLEX = 5, range(6, 16), 0x800
+HEADER, HEAD = 128, 4096  # bytes: of the file; of a variable, enough to tell its name
 
 
 def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
@@ -125,7 +132,7 @@ class _Variables(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._read:
-            require_parts(self._path, name)
+            _require_parts(self._path, name)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # such as of a name that is there twice
                 found = scipy.io.loadmat(self._path, variable_names=[name], appendmat=False)
@@ -188,3 +195,49 @@ def _leaves(content: Mapping[str, Any]) -> tuple[str, ...]:
             shape = getattr(place, "shape", None)
             names.append(name[:60] + (f" ({' x '.join(map(str, shape))})" if shape else ""))
     return (*names, "...") if waiting else tuple(names)
+
+
+def _require_parts(path: Path, name: str) -> None:
+    """Require that the variables of a name consist of the parts that their class has, of known types."""
+    data = memoryview(path.read_bytes())
+    order = "<" if bytes(data[126:128]) == b"IM" else ">"
+    for kind, part in _parts(data[HEADER:], order):
+        is_packed = kind == COMPRESSED
+        head = zlib.decompressobj().decompress(part, HEAD) if is_packed else part[:HEAD]
+        named = _parts(memoryview(head)[8 if is_packed else 0 :], order)[2:3]  # behind flags and sizes
+        if named and bytes(named[0][1]) == name.encode("latin1"):
+            for one in _parts(memoryview(zlib.decompress(part)), order) if is_packed else [(kind, part)]:
+                _require(*one, order)
+
+
+def _parts(data: memoryview, order: str) -> list[tuple[int, memoryview]]:
+    """Type and content of each part."""
+    found, at = [], 0
+    while at + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, at)
+        begin, end = at + 8, at + 8 + size
+        if kind >> 16:  # a few bytes beside their tag
+            kind, begin, end = kind & 0xFFFF, at + 4, at + 4 + min(kind >> 16, 4)
+        found.append((kind, data[begin:end]))
+        at = end if kind == COMPRESSED else end + -end % 8
+    return found
+
+
+def _require(kind: int, content: memoryview, order: str) -> None:
+    if kind not in NUMBERS | {MATRIX}:
+        msg = f"a part of unknown type {kind}"
+        raise ValueError(msg)
+    parts = _parts(content, order) if kind == MATRIX else []
+    if not parts:
+        return  # numbers, or an empty variable
+    if (parts[0][0], len(parts[0][1])) != FLAGS:
+        msg = "a variable that does not begin with its flags"
+        raise ValueError(msg)
+    (flags,) = struct.unpack_from(f"{order}I", parts[0][1])
+    has = {SPARSE: 6} | dict.fromkeys(ARRAYS, 4)
+    expected = has.get(flags & 0xFF, 0) + bool(flags & IS_COMPLEX)
+    if flags & 0xFF in has and len(parts) != expected:
+        msg = f"{len(parts)} parts of an array, expected {expected}"
+        raise ValueError(msg)
+    for part in parts:
+        _require(*part, order)

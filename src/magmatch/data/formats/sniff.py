@@ -5,14 +5,12 @@ import itertools
 import json
 import re
 import zipfile
-from codecs import BOM_UTF8
 from pathlib import Path
-from types import ModuleType
 from typing import Literal
 
-from magmatch.data.formats.phones import getsensordata, xyz10
 from magmatch.data.formats.phones.containers import opened_tables, phone_tables_of, refuse_strays
 from magmatch.data.formats.phones.tables import is_phone_header
+from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.survey_columns import FIELD_COLUMNS
 from magmatch.data.tables.header_names import header_of, is_of_rostopic
 from magmatch.data.tables.motive import is_of_motive
@@ -101,12 +99,6 @@ def may_be_map(path: Path) -> bool:
     with path.open("rb") as stream:
         head = stream.read(_STORED_HEAD)
     return _is_stored(head) and not _other_schema(head)
-
-
-def text_log_of(head: bytes) -> ModuleType | None:
-    """Tell the app whose text of rows, each named after its sensor, a file begins like: the module that reads it."""
-    text = head[:_HEAD].removeprefix(BOM_UTF8)
-    return next((app for app in (getsensordata, xyz10) if app.begins_like(text)), None)
 
 
 def _is_stored(head: bytes) -> bool:

@@ -7,9 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.logs.decode import ENCODINGS
 from magmatch.data.logs.log import Topic
-from magmatch.data.logs.messages import TREES
+from magmatch.data.logs.messages import ENCODINGS, TREES
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
@@ -144,10 +143,6 @@ def _remedy(topics: Sequence[Topic], what: str) -> str:
 
 def _shared(pair: tuple[Topic, Topic]) -> float:
     """Messages of both topics in the time that both cover."""
-    low, high = max(topic.first_ns for topic in pair), min(topic.last_ns for topic in pair)
-    return sum(_share(topic, low, high) for topic in pair) if high >= low else 0.0
-
-
-def _share(topic: Topic, low: int, high: int) -> float:
-    span = topic.last_ns - topic.first_ns
-    return topic.count * ((high - low) / span) if span else float(topic.count)
+    shared = min(topic.last_ns for topic in pair) - max(topic.first_ns for topic in pair)
+    spans = [(topic.count, topic.last_ns - topic.first_ns) for topic in pair]
+    return sum(n * (shared / span if span else 1.0) for n, span in spans) if shared >= 0 else 0.0

@@ -40,6 +40,7 @@ class Ros1Log(Log):
 
     def __init__(self, path: Path) -> None:
         self.path, self._reader = path, Reader(path)
+        self.close = self._reader.close
         self._damage_told = partial(damage_told, path, "ROS 1 bag", "; rosbag reindex mends it")
         with self._damage_told():
             self._reader.open()
@@ -51,10 +52,6 @@ class Ros1Log(Log):
         }
         times = {key: [one.time for one in index] for key, index in self._reader.indexes.items()}
         self.counts = {key: Count(len(found), min(found), max(found)) for key, found in times.items() if found}
-
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""
@@ -77,6 +74,7 @@ class SqliteLog(Log):
         mode = "mode=ro" if journal.exists() and journal.stat().st_size else "mode=ro&immutable=1"
         with self._damage_told():
             self._database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
+        self.close = self._database.close
         self._database.text_factory = lambda raw: raw.decode("utf-8", "replace")
         try:
             with self._damage_told():
@@ -96,10 +94,6 @@ class SqliteLog(Log):
         if not all(isinstance(key, int) and all(isinstance(text, str) for text in texts) for key, *texts in rows):
             raise DataFormatError(self.path, "its table of topics holds other things than names")
         return {key: Channel.named(*texts) for key, *texts in rows}
-
-    def close(self) -> None:
-        """Close the file."""
-        self._database.close()
 
     def _count(self) -> dict[int, Count]:
         """Learn how many messages there are of each topic, and from when."""
@@ -126,6 +120,7 @@ class McapLog(Log):
 
     def __init__(self, path: Path) -> None:
         self.path, self._stream = path, path.open("rb")
+        self.close = self._stream.close
         self._damage_told = partial(damage_told, path, "MCAP file", "; mcap recover mends it")
         self._schemas = {0: ""}
         self.channels, self.counts = {}, {}
@@ -141,10 +136,6 @@ class McapLog(Log):
         except BaseException:
             self.close()
             raise
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order of the file."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.logs.decode import MalformedError, decode
+from magmatch.data.logs.messages import MalformedError, decode
 from magmatch.data.logs.open import opened_log
 from magmatch.data.logs.read import list_topics
 from magmatch.data.units import STATED_OVER

@@ -3,6 +3,8 @@
 
 from collections import deque
 from dataclasses import dataclass
+from functools import reduce
+from operator import mul
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +33,8 @@ class FrameTree:
         path = path_between(list(self.static), to, frm)
         if path is None:
             return None
-        T = RigidTransform.identity()
-        for edge, is_forward in path:
-            T = T * (self.static[edge] if is_forward else self.static[edge].inv())
-        return T
+        steps = (self.static[edge] if is_forward else self.static[edge].inv() for edge, is_forward in path)
+        return reduce(mul, steps, RigidTransform.identity())
 
     def frames(self) -> list[str]:
         """All names of frames, sorted."""

@@ -2,7 +2,7 @@
 """What recorder logs have in common: topics with counts and spans, and the messages of some topics."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -72,6 +72,7 @@ class Log(ABC):
     path: Path
     channels: dict[int, Channel]  # by number
     counts: dict[int, Count]  # of the channels that have messages
+    close: Callable[[], None]  # closes the file
 
     def topics(self) -> list[Topic]:
         """All topics, by name."""
@@ -87,7 +88,3 @@ class Log(ABC):
     @abstractmethod
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, in the order in which they were written."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close the file."""

@@ -11,10 +11,9 @@ from xml.etree import ElementTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.logs.choose import is_static, trees
-from magmatch.data.logs.decode import ENCODINGS, MalformedError, decode
 from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import Entries, Frames
+from magmatch.data.logs.messages import ENCODINGS, Entries, Frames, MalformedError, decode
 from magmatch.data.logs.streams import TopicStream, read_streams
 from magmatch.errors import DataFormatError
 
@@ -91,18 +90,10 @@ def _fixed_joints(path: Path, words: str) -> dict[Frames, RigidTransform]:
             if joint.get("type") != "fixed" or None in ends:
                 continue
             origin = joint.find("origin")
-            xyz, rpy = (_three(None if origin is None else origin.get(name)) for name in ("xyz", "rpy"))
+            texts = ("0 0 0" if origin is None else origin.get(name) or "0 0 0" for name in ("xyz", "rpy"))
+            xyz, rpy = ([float(word) for word in text.split()] for text in texts)
             parent, child = (end.get("link", "").lstrip("/") for end in ends if end is not None)
             found[parent, child] = RigidTransform.from_components(xyz, Rotation.from_euler("xyz", rpy))
     except (ElementTree.ParseError, ValueError) as error:
         logger.warning("%s: its %s cannot be read (%s)", path, DESCRIPTION, error)
     return found
-
-
-def _three(text: str | None) -> list[float]:
-    """Three numbers, zeros where none are stated."""
-    numbers = [float(word) for word in (text or "0 0 0").split()]
-    if len(numbers) != 3:
-        msg = f"expected three numbers, found {text!r}"
-        raise ValueError(msg)
-    return numbers

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.formats.channels import MAX_CHANNELS, Channels, TimeSeries
-from magmatch.data.logs.decode import ENCODINGS, decode, number
 from magmatch.data.logs.log import Log, Topic
+from magmatch.data.logs.messages import ENCODINGS, decode, number
 from magmatch.data.tables.text import printable
 from magmatch.data.tables.times import seconds_of
 

@@ -55,16 +55,11 @@ def opened_log(path: str | Path) -> Iterator[Log]:
 class JoinedLog(Log):
     """Files of one recording in order, read as one; messages may be compressed one by one."""
 
-    def __init__(self, path: Path, parts: Sequence[Log], *, is_packed: bool) -> None:
-        self.path, self._parts, self._is_packed = path, parts, is_packed
+    def __init__(self, path: Path, parts: Sequence[Log], close: Callable[[], None], *, is_packed: bool) -> None:
+        self.path, self._parts, self.close, self._is_packed = path, parts, close, is_packed
         topics = dict(enumerate(topic for part in parts for topic in part.topics()))
         self.channels = {key: topic.channel for key, topic in topics.items()}
         self.counts = {key: Count(topic.count, topic.first_ns, topic.last_ns) for key, topic in topics.items()}
-
-    def close(self) -> None:
-        """Close the files."""
-        for part in self._parts:
-            part.close()
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """Messages of some topics, file after file."""
@@ -95,8 +90,7 @@ def _open_folder(folder: Path) -> JoinedLog:
         raise DataFormatError(folder, f"holds no {' or '.join(SUFFIXES)} file that can be read")
     with ExitStack() as opened:
         parts = [opened.enter_context(closing(open_log(file))) for file in files]
-        opened.pop_all()  # all are open: the log closes them
-    return JoinedLog(folder, parts, is_packed=is_packed)
+        return JoinedLog(folder, parts, opened.pop_all().close, is_packed=is_packed)
 
 
 def _metadata(folder: Path) -> dict[str, Any]:
@@ -113,9 +107,9 @@ def _metadata(folder: Path) -> dict[str, Any]:
 
 def _files(folder: Path, about: dict[str, Any]) -> list[Path]:
     """Files of the recording in order; only names inside the folder are followed."""
-    present = sorted(p for p in folder.iterdir() if p.suffix in SUFFIXES and p.is_file())
-    packed = sorted(p.name for p in folder.iterdir() if p.name.endswith((".db3.zstd", ".mcap.zstd")))
-    if packed:
+    there = sorted(p.name for p in folder.iterdir() if p.is_file())
+    present = [folder / name for name in there if name.endswith(SUFFIXES)]
+    if packed := [name for name in there if name.endswith((".db3.zstd", ".mcap.zstd"))]:
         message = f"its files are compressed as a whole; decompress them first (unzstd {packed[0]})"
         raise DataFormatError(folder, message)
     named = about.get("relative_file_paths")
@@ -123,11 +117,7 @@ def _files(folder: Path, about: dict[str, Any]) -> list[Path]:
         return present
     if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
         raise DataFormatError(folder / METADATA, "expected a list of names in relative_file_paths")
-    stray = [name for name in named if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name]
-    if stray:
-        raise DataFormatError(folder / METADATA, f"names a file outside the folder: {stray[0]!r}")
     names = list(dict.fromkeys(Path(name).name for name in named))  # old recorders wrote the folder in front
-    missing = [name for name in names if not (folder / name).is_file()]
-    if missing:
+    if missing := [name for name in names if name not in there]:
         raise DataFormatError(folder / METADATA, f"names {missing[0]!r}, which is not in the folder; {REINDEX}")
     return [folder / name for name in names] or present

@@ -2,11 +2,9 @@
 """Read a recorder log: choose topics, decode them, settle the clock, find where the sensor sits."""
 
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
@@ -27,17 +25,6 @@ from magmatch.errors import ConfigurationError, DataFormatError
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Poses:
-    """Motion of a body in a fixed frame, the frames' names where the log says, and another file as its source."""
-
-    trajectory: Trajectory
-    fixed: str = ""
-    body: str = ""
-    has_orientations: bool = True
-    source: Path | None = None
-
-
 def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = False) -> Recording:
     """Read field and poses of the sensor from a bag or an MCAP file, each at its own times.
 
@@ -45,57 +32,61 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
     of plain numbers, such as currents. Raises `DataFormatError` where the log is damaged or lacks the topics.
     """
     with opened_log(path) as log:
-        return _read(log, layout, with_channels=with_channels)
+        return _recording(log, layout, with_channels=with_channels)
 
 
-def _read(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
+def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     topics = log.topics()
     field_topic, pose_topic, moving = choose_topics(log.path, topics, layout)
     wanted = [field_topic, *([pose_topic] if pose_topic else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
-    fixed = [topic for topic in trees(topics) if is_static(topic)]
-    read = read_streams(log, [*wanted, *fixed], recover=layout.recover)
+    read = read_streams(log, [*wanted, *filter(is_static, trees(topics))], recover=layout.recover)
     streams, static = settle_clock(log.path, read[: len(wanted)]), read[len(wanted) :]
     tree = frame_tree(log.path, merged(streams[len(wanted) - len(moving) :]), merged(static))
     field = in_order(log.path, field_topic.name, _of_one_frame(log.path, streams[0]))
     sensor = field.frames[0]
     if moving and sensor not in tree.frames():
         tree = with_description(log, topics, tree)
-    poses = _poses(log.path, layout, streams[1] if pose_topic else None, tree, sensor)
-    is_turned = bool(sensor) and sensor == poses.fixed
+    trajectory, (fixed, body), is_6d = _poses(log.path, layout, streams[1] if pose_topic else None, tree, sensor)
+    is_turned = bool(sensor) and sensor == fixed
     frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
-    extrinsic = _extrinsic(log, topics, layout, tree, poses, "" if frame == "survey" else sensor)
+    T_body_sensor = None
+    if layout.extrinsic is not None:
+        T_body_sensor = read_extrinsic(layout.extrinsic)
+    elif layout.trajectory is None and frame == "sensor" and sensor not in ("", body):
+        T_body_sensor = find_mount(log, topics, tree, fixed, body, sensor)
     times, is_new = distinct_seconds(field)
     delay_ns = float(np.median(field.log_ns - field.stamp_ns))  # of logging, behind the times used
     return Recording(
         path=log.path,
         times=times[is_new],
         field=layout.turned(field.values[is_new] * TESLA_PER_UNIT[layout.field_unit]),
-        trajectory=poses.trajectory,
+        trajectory=trajectory,
         field_frame=frame,
-        has_orientations=poses.has_orientations,
-        frame=poses.fixed or "survey",
-        poses_from=poses.source,
+        has_orientations=is_6d,
+        frame=fixed or "survey",
+        poses_from=layout.trajectory,
         channels=read_numbers(log, topics, delay_ns) if with_channels else {},
-    ).carried(extrinsic)
+    ).carried(T_body_sensor)
 
 
-def _poses(path: Path, layout: SurveyFormat, stream: TopicStream | None, tree: FrameTree, sensor: str) -> Poses:
-    """Poses from another file, from a topic, or from the tree of frames."""
+def _poses(
+    path: Path, layout: SurveyFormat, stream: TopicStream | None, tree: FrameTree, sensor: str
+) -> tuple[Trajectory, Frames, bool]:
+    """Poses from another file, a topic or the tree of frames; their frames ("" where unknown); if they have turns."""
     metre = METRE_PER_UNIT[layout.length_unit]
     if layout.trajectory is not None:
-        return Poses(load_trajectory(layout.trajectory, layout), source=layout.trajectory)
+        return load_trajectory(layout.trajectory, layout), ("", ""), True
     if stream is not None:
         entries = in_order(path, stream.topic.name, _of_one_frame(path, stream))
-        has_orientations = entries.values.shape[1] == 7
-        return Poses(trajectory_of(path, entries).scaled(metre), *entries.frames, has_orientations)
+        return trajectory_of(path, entries).scaled(metre), entries.frames, entries.values.shape[1] == 7
     fixed, body = _pose_frames(layout.pose_frames) if layout.pose_frames else (tree.root_over(sensor), sensor)
     if fixed == body:
         known = ", ".join(tree.frames()[:12])
         message = f"tf does not know {sensor!r}, the frame of the field; it knows {known}: --pose-frames MAP,BODY"
         raise DataFormatError(path, message)
     logger.info("%s: poses of %s in %s from tf", path, body, fixed)
-    return Poses(tree.trajectory(path, fixed, body).scaled(metre), fixed, body)
+    return tree.trajectory(path, fixed, body).scaled(metre), (fixed, body), True
 
 
 def _pose_frames(text: str) -> Frames:
@@ -105,17 +96,6 @@ def _pose_frames(text: str) -> Frames:
         msg = f"--pose-frames: expected two frames such as map,base_link; found '{text}'"
         raise ConfigurationError(msg)
     return names[0], names[1]
-
-
-def _extrinsic(
-    log: Log, topics: list[Topic], layout: SurveyFormat, tree: FrameTree, poses: Poses, sensor: str
-) -> RigidTransform | None:
-    """Give the sensor's place on the body: as stated, or from wherever the log says it."""
-    if layout.extrinsic is not None:
-        return read_extrinsic(layout.extrinsic)
-    if poses.source is not None or not sensor or sensor == poses.body:
-        return None
-    return find_mount(log, topics, tree, poses.fixed, poses.body, sensor)
 
 
 def _of_one_frame(path: Path, stream: TopicStream) -> Entries:

@@ -102,22 +102,19 @@ def settle_clock(path: Path, streams: Sequence[TopicStream]) -> list[TopicStream
     Log times are used where the headers of one stream have no stamps, or cut ones, or those of two streams share no
     time.
     """
-    unstamped = [s.topic.name for s in streams if not any((part.stamp_ns > 0).any() for part in s.entries.values())]
-    if unstamped:
+    if unstamped := [s.topic.name for s in streams if not any((e.stamp_ns > 0).any() for e in s.entries.values())]:
         logger.warning("%s: the headers of %s have no stamps; log times are used", path, ", ".join(unstamped))
         return _by_log_times(streams)
-    if cut := [stream for stream in streams if _are_stamps_cut(stream)]:
-        names = ", ".join(stream.topic.name for stream in cut)
+    if cut := [stream.topic.name for stream in streams if _are_stamps_cut(stream)]:
         words = "%s: most messages of %s share their header stamps, as if cut to whole seconds; log times are used"
-        logger.warning(words, path, names)
+        logger.warning(words, path, ", ".join(cut))
         return _by_log_times(streams)
     # Zero stands for no stamp, unless the message was logged at zero too: simulated clocks begin there.
     kept = [
         s.changed(lambda part: part.at((part.stamp_ns > 0) | ((part.stamp_ns | part.log_ns) == 0))) for s in streams
     ]
     for before, after in zip(streams, kept, strict=True):
-        if len(after) < len(before):
-            n = len(before) - len(after)
+        if n := len(before) - len(after):
             logger.warning("%s: left out %d messages of %s without a stamp", path, n, before.topic.name)
     behind = {s.topic.name: [part.log_ns - part.stamp_ns for part in s.entries.values()] for s in kept}
     delays = {name: float(np.median(np.concatenate(parts))) if parts else 0.0 for name, parts in behind.items()}

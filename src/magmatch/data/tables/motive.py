@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.tables.quaternions import QUATERNION, rotations_of
+from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text_rows import listed, split_row
 from magmatch.data.tables.tum import TUM_COLUMNS
@@ -56,7 +56,10 @@ def read_motive(path: str | Path, lines: Sequence[str], length_unit: LengthUnit,
             ours[k] = _OURS.get((part.lower(), axis.lower()), ours[k])
     _require_one(path, bodies, types, ours)
     used = [ours.index(name) for name in TUM_COLUMNS]
-    seen = [*([""] * (top + 1)), *(line if _has_pose(line, used) else "" for line in lines[top + 1 :])]
+    seen = [""] * (top + 1)
+    for line in lines[top + 1 :]:
+        cells = split_row(line, ",")
+        seen.append(line if all(k < len(cells) and cells[k].strip() for k in used[1:]) else "")
     n, n_seen = (sum(1 for line in some if line.strip()) for some in (lines[top + 1 :], seen))
     if not n_seen:
         raise DataFormatError(path, f"the rigid body {bodies[0]!r} is seen in none of {n} frames")
@@ -64,7 +67,11 @@ def read_motive(path: str | Path, lines: Sequence[str], length_unit: LengthUnit,
         logger.warning("%s: left out %d of %d frames in which %s is not seen", path, n - n_seen, n, bodies[0])
     table = read_table(path, Wanted(TUM_COLUMNS, ours, recover=recover), seen)
     logger.warning("%s: taken as y up, as Motive writes by default, and turned to z up", path)
-    return _upright(table, METRE_PER_UNIT[_UNITS[stated]] / METRE_PER_UNIT[length_unit])
+    positions, turns = table.stack("x", "y", "z"), rotations_of(table)
+    assert turns is not None  # its columns are required
+    scale = METRE_PER_UNIT[_UNITS[stated]] / METRE_PER_UNIT[length_unit]
+    upright = np.hstack([scale * UPRIGHT.apply(positions), (UPRIGHT * turns).as_quat()])
+    return replace(table, columns={"t": table.columns["t"], **dict(zip(TUM_COLUMNS[1:], upright.T, strict=True))})
 
 
 def _require_one(path: str | Path, bodies: Sequence[str], types: Sequence[str], ours: Sequence[str]) -> None:
@@ -74,23 +81,8 @@ def _require_one(path: str | Path, bodies: Sequence[str], types: Sequence[str], 
         message = f"expected the path of a rigid body, found {found}: make one of the markers in Motive"
         raise DataFormatError(path, f"{message}, and export it with rotations as quaternions")
     if len(bodies) > 1:
-        message = (
-            f"expected one rigid body, found {listed(bodies)}: export the one that carries the magnetometer alone"
-        )
-        raise DataFormatError(path, message)
+        message = f"expected one rigid body, found {listed(bodies)}: export"
+        raise DataFormatError(path, f"{message} the one that carries the magnetometer alone")
     if missing := [name for name in TUM_COLUMNS if name not in ours]:
         message = f"expected rotation and position of {bodies[0]!r}; missing {', '.join(missing)}"
         raise DataFormatError(path, f"{message}: export both, with the rotation type Quaternion")
-
-
-def _has_pose(line: str, used: Sequence[int]) -> bool:
-    cells = split_row(line, ",")
-    return all(k < len(cells) and cells[k].strip() for k in used[1:])
-
-
-def _upright(table: Table, scale: float) -> Table:
-    """Poses with z up, in another unit."""
-    turns = rotations_of(table)
-    assert turns is not None  # its columns are required
-    block = np.hstack([scale * UPRIGHT.apply(table.stack("x", "y", "z")), (UPRIGHT * turns).as_quat()])
-    return replace(table, columns={"t": table.columns["t"], **dict(zip((*"xyz", *QUATERNION), block.T, strict=True))})

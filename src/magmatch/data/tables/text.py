@@ -3,13 +3,14 @@
 
 import errno
 import gzip
+import shutil
 import stat
 import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from magmatch.data.tables.pipes import PIECE, at_rest
 from magmatch.errors import DataFormatError, MagmatchError
@@ -18,20 +19,6 @@ from magmatch.errors import DataFormatError, MagmatchError
 BAD_NAME = {errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP, errno.EINVAL}
 BYTE_ORDER_MARKS = (b"\xff\xfe", b"\xfe\xff")
 MAGIC = b"\x1f\x8b"  # of gzip
-
-
-class GzipContent:
-    """The content of a gzip file; damage is refused."""
-
-    def __init__(self, path: str | Path, stream: BinaryIO) -> None:
-        self.path, self._stream = path, gzip.GzipFile(fileobj=stream)
-
-    def read(self, size: int = -1) -> bytes:
-        """The next bytes, as of any file."""
-        try:
-            return self._stream.read(size)
-        except (OSError, EOFError, zlib.error) as error:
-            raise DataFormatError(self.path, f"is a damaged gzip file ({error}); cut off while copying?") from None
 
 
 @contextmanager
@@ -73,8 +60,8 @@ def read_bytes(path: str | Path, limit: int = -1) -> bytes:
 
 
 @contextmanager
-def _opened(path: str | Path) -> Iterator[BinaryIO | GzipContent]:
-    """A regular file, open for reading; faults of its name in words."""
+def _opened(path: str | Path) -> Iterator[BinaryIO]:
+    """A regular file (what it holds, where that is gzip), open for reading; faults of its name in words."""
     if "\0" in str(path):
         raise DataFormatError(path, "holds a NUL character, expected the name of a file")
     try:
@@ -87,7 +74,9 @@ def _opened(path: str | Path) -> Iterator[BinaryIO | GzipContent]:
         with place.open("rb") as stream:
             is_packed = stream.read(len(MAGIC)) == MAGIC
             stream.seek(0)
-            yield GzipContent(path, stream) if is_packed else stream
+            yield cast("BinaryIO", gzip.GzipFile(fileobj=stream)) if is_packed else stream
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise DataFormatError(path, f"is a damaged gzip file ({error}); cut off while copying?") from None
     except FileNotFoundError:
         raise DataFormatError(path, "no such file") from None
     except PermissionError:
@@ -106,10 +95,8 @@ def plain_file(path: str | Path) -> Iterator[Path]:
         if is_gzip(place):
             folder = held.enter_context(tempfile.TemporaryDirectory(prefix="magmatch-"))
             copy = Path(folder) / (place.stem or "log")
-            with place.open("rb") as packed, copy.open("wb") as unpacked:
-                content = GzipContent(path, packed)
-                while piece := content.read(PIECE):
-                    unpacked.write(piece)
+            with _opened(path) as content, copy.open("wb") as unpacked:
+                shutil.copyfileobj(content, unpacked, PIECE)
         try:
             yield copy
         except DataFormatError as error:

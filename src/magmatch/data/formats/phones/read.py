@@ -15,8 +15,8 @@ from magmatch.data.formats.phones.containers import opened_tables
 from magmatch.data.formats.phones.metadata import with_metadata
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor, Stream
 from magmatch.data.formats.phones.tables import MEMBERS, read_table_streams, stem_of
+from magmatch.data.formats.phones.text_logs import text_log_of
 from magmatch.data.formats.recording import Recording
-from magmatch.data.formats.sniff import text_log_of
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.tables.text import damage_told
 from magmatch.data.trajectory import Trajectory
@@ -54,8 +54,8 @@ def read_phone_log(
                 continue
             raw = read()
             if (text := text_log_of(raw)) is not None:
-                app, found = text.APP, text.read(place, raw, wanted, recover=recover)
-                points = text.points(place, raw, recover=recover) if with_points else None
+                app, found = text.app, text.read(place, raw, wanted, recover)
+                points = text.points(place, raw, recover) if with_points else None
             else:
                 app, found = read_table_streams(place, raw, wanted, recover=recover)
             streams = found | streams

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from magmatch.data.formats.phones.phone_log import PER_UNIT, WORDS, Sensor, Stream, stream_of
-from magmatch.data.formats.phones.tagged_rows import read_tagged
+from magmatch.data.formats.phones.text_logs import read_tagged
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import decimal_of_cells
 from magmatch.data.tables.table import Table, Wanted, read_table
