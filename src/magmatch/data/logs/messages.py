@@ -133,7 +133,7 @@ class Decoder:
     thin: Callable[[Entries], Entries] | None = None
     faults: list[Fault] = field(default_factory=list)
     # By frames: number, log time and stamp of each message; its values.
-    _rows: dict[Frames, tuple[array[int], array[float]]] = field(default_factory=dict)
+    _rows: "dict[Frames, tuple[array[int], array[float]]]" = field(default_factory=dict)
     _n: int = 0
 
     def take(self, channel: Channel, log_ns: int, payload: bytes) -> None:
