@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Small surveys and the real recordings, where they are present."""
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,19 @@ def room(rng):
     positions = rng.uniform(0.0, 3.0, (n, 3))
     field = np.array([18e-6, 3e-6, -45e-6]) + 2e-6 * np.sin(positions)
     return Survey(positions, field, 0.5 * np.arange(n), Rotation.random(n, rng=rng), name="room")
+
+
+@pytest.fixture
+def zipped():
+    """Write an archive of some members by name, and give its path."""
+
+    def write(path, members):
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+        return path
+
+    return write
 
 
 @pytest.fixture

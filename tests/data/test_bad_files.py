@@ -56,13 +56,11 @@ TABLE_CASES = {
     "no header": ("\n".join(rows()), ["line 1", "header row", "found numbers"]),
     "header commented out": ("# " + HEADER + "\n" + "\n".join(rows()), ["line 2", "remove the '#'"]),
     "a number with an underscore": (with_row(3, "1_0,0,0,2e-5,0,0"), ["line 4, column 'x'", "found '1_0'"]),
-    "prose": ("Dear reader,\nthis is a letter.\n", ["expected columns", "bx", "found dear reader"]),
     "missing column": (table(*rows(), header="x,y,z,bx,by,up"), ["missing bz", "found x, y, z, bx, by, up"]),
     "unit in a name": (table(*rows(), header="x,y,z,bx [uT],by,bz"), ["missing bx", "bx [ut]"]),
     "log without positions": (table("0,1,2,3", header="t,bx,by,bz"), ["missing x, y, z", "--trajectory"]),
     "duplicate column": (table(*rows(), header="x,y,z,bx,bx,bz"), ["line 1", "column 'bx'", "2 times"]),
     "text in a number": (with_row(3, "0,0,0,fast,0,0"), ["line 4", "column 'bx'", "expected a number", "'fast'"]),
-    "unit row under the header": (table("m,m,m,T,T,T", *rows()), ["line 2", "column 'x'", "'m'"]),
     "comment behind a row": (with_row(2, "0,0,0,1e-6,0,0 # corner"), ["line 3", "column 'bz'", "# corner"]),
     "empty cell": (with_row(5, "0,,0,1e-6,0,0"), ["line 6", "column 'y'", "empty cell"]),
     "short row": (with_row(7, "0,0,0,1e-6"), ["line 8", "expected 6 cells", "found 4"]),
@@ -74,9 +72,7 @@ TABLE_CASES = {
     "cut off": (table(*rows()).rstrip("\n")[:-30], ["line 13", "found 4", "cut off"]),
     "two delimiters": (table(*rows(), header="x,y,z;bx,by,bz"), ["line 1", "both ',' and ';'"]),
     "another delimiter": (table(*rows(), header="x|y|z|bx|by|bz"), ["expected columns", "found x|y|z|bx|by|bz"]),
-    "delimiter changes": (with_row(4, "0;0;0;1e-6;0;0"), ["line 5", "expected 6 cells", "found 1"]),
     "nan": (with_row(9, "0,0,0,nan,0,0"), ["line 10", "column 'bx'", "finite", "'nan'"]),
-    "nan behind comments": ("# a\n\n# b\n" + with_row(1, "nan,0,0,1e-6,0,0"), ["line 5", "column 'x'"]),
     "half a quaternion": (
         table(*(f"{r},0,0" for r in rows()), header=HEADER + ",qx,qy"),
         ["half a quaternion", "found qx, qy", "missing qz, qw"],
@@ -157,16 +153,11 @@ def test_bad_file_is_refused_in_one_line_that_names_the_place(name, tmp_path):
 
 
 # Numbers as they stand in the file, the unit they are read as, and what the message must suggest.
-UNIT_CASES = {
-    "microtesla read as tesla": (1.0, "T", "--field-unit uT"),
-    "tesla read as microtesla": (1e-6, "uT", "--field-unit T"),
-    "microtesla read as millitesla": (1.0, "mT", "--field-unit uT"),
-}
+UNIT_CASES = [(1.0, "T", "--field-unit uT"), (1e-6, "uT", "--field-unit T"), (1.0, "mT", "--field-unit uT")]
 
 
-@pytest.mark.parametrize("name", UNIT_CASES)
-def test_wrong_field_unit_is_refused_with_the_flag_that_helps(name, tmp_path):
-    scale, unit, flag = UNIT_CASES[name]
+@pytest.mark.parametrize(("scale", "unit", "flag"), UNIT_CASES)
+def test_wrong_field_unit_is_refused_with_the_flag_that_helps(scale, unit, flag, tmp_path):
     path = write(tmp_path / "survey.csv", table(*rows(scale=scale)))
     with pytest.raises(SurveyError, match=flag) as caught:
         read_survey(path, SurveyFormat(field_unit=unit))
@@ -177,12 +168,9 @@ TUM_CASES = {
     "seven columns": ("0 0 0 0 0 0 0\n" * 3, ["line 1", "expected rows of t, x, y, z", "found 7 cells"]),
     "header without qw": ("t x y z qx qy qz q\n0 0 0 0 0 0 0 1\n", ["line 1", "missing qw", "found t, x, y"]),
     "KITTI": ("1 0 0 5 0 1 0 6 0 0 1 7\n" * 3, ["line 1", "12 numbers a row are KITTI poses", "no times", "t x y z"]),
-    "text": ("0 0 0 0 0 0 0 1\n1 0 0 north 0 0 0 1\n", ["line 2", "column 'z'", "'north'"]),
     "one pose": ("0 0 0 0 0 0 0 1\n", ["at least two poses", "found 1"]),
-    "time repeats": ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", ["line 2", "time repeats"]),
     "time backward": ("# c\n1 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n", ["line 3", "backward"]),
     "zero quaternion": ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 0\n", ["line 2", "zero quaternion"]),
-    "nan": ("0 0 0 0 0 0 0 1\n1 nan 0 0 0 0 0 1\n", ["line 2", "column 'x'", "finite"]),
 }
 
 

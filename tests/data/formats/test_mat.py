@@ -118,12 +118,6 @@ def test_a_file_that_holds_no_survey_says_what_it_holds(write, case, tmp_path):
     assert str(caught.value).startswith(str(path))
 
 
-def test_rows_without_numbers_are_left_out_where_asked_for(tmp_path):
-    holed = np.where(TIMES[4] == TIMES, np.nan, POSITIONS[:, 0])
-    path = v5(tmp_path / "walk.mat", PLAIN | {"x": holed})
-    assert len(read_survey(path, SurveyFormat(field_unit="uT", recover=True))) == N - 1
-
-
 def test_links_out_of_an_hdf5_file_are_not_followed(tmp_path):
     h5py = pytest.importorskip("h5py")
     v73(tmp_path / "other.mat", PLAIN)
@@ -161,15 +155,6 @@ def test_a_constant_stands_for_an_array(write, tmp_path):
     survey = read_survey(path, SurveyFormat(columns=f"{FLAT},z=1.20", field_unit="uT"))
     np.testing.assert_array_equal(survey.positions[:, :2], POSITIONS[:, :2])
     np.testing.assert_array_equal(survey.positions[:, 2], 1.2)
-
-
-@pytest.mark.parametrize("write", [v5, v73])
-def test_fields_of_structures_are_listed_as_they_are_to_be_named(write, tmp_path):
-    path = write(tmp_path / "walk.mat", NESTED)
-    with pytest.raises(DataFormatError) as caught:
-        read_survey(path)
-    for name in ("data.Pos (", "data.mag (", "data.clock.stamp (", "data.Pos"):
-        assert name in str(caught.value)
 
 
 def test_one_of_several_structures_is_named_by_its_number(tmp_path):

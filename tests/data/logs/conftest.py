@@ -30,14 +30,13 @@ TRANSFORM, TF, POINT, VECTOR, STRING = (
     "geometry_msgs/msg/Vector3Stamped",
     "std_msgs/msg/String",
 )
-
-
 BATTERY, JOINTS, VALUE, ARRAY = (
     "sensor_msgs/msg/BatteryState",
     "sensor_msgs/msg/JointState",
     "std_msgs/msg/Float64",
     "std_msgs/msg/Float32MultiArray",
 )
+VECTOR_FIELDS = {MAG: "magnetic_field", VECTOR: "vector", POINT: "point"}
 
 
 @dataclass
@@ -109,88 +108,61 @@ class Messages:
     def __init__(self, version):
         self.is_ros1 = version == 1
         self.store = type_store(version)
-        self._number = 0
 
-    def make(self, name, **fields):
-        return self.store.types[name](**fields)
+    def filled(self, kind, content):
+        """A message of a type; what the content does not name is zero, empty or false."""
+        from rosbags.interfaces import Nodetype
 
-    def header(self, stamp, frame):
-        time = self.make("builtin_interfaces/msg/Time", sec=int(stamp // SECOND), nanosec=int(stamp % SECOND))
-        self._number += 1
-        first = {"seq": self._number} if self.is_ros1 else {}
-        return self.make("std_msgs/msg/Header", **first, stamp=time, frame_id=frame)
+        def value(given, what, detail):
+            if what is Nodetype.NAME:
+                return self.filled(detail, given or {})
+            if what is Nodetype.BASE:
+                return given if given is not None else {"string": "", "bool": False}.get(detail[0], 0)
+            (inner, name), n = detail
+            given = [0] * n if given is None else given
+            if inner is Nodetype.NAME or name[0] == "string":
+                return [value(one, inner, name) for one in given]
+            return np.array(given, name[0])
 
-    def xyz(self, numbers, kind="Vector3"):
-        return self.make(f"geometry_msgs/msg/{kind}", **dict(zip("xyz", map(float, numbers), strict=True)))
-
-    def pose(self, v):
-        turn = self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, v[3:]), strict=True)))
-        return self.make("geometry_msgs/msg/Pose", position=self.xyz(v[:3], "Point"), orientation=turn)
-
-    def transform(self, header, child, v):
-        turn = self.make("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", map(float, v[3:]), strict=True)))
-        inner = self.make("geometry_msgs/msg/Transform", translation=self.xyz(v[:3]), rotation=turn)
-        return self.make(TRANSFORM, header=header, child_frame_id=child, transform=inner)
+        fields = {name: value(content.get(name), *node) for name, node in self.store.fielddefs[kind][1]}
+        return self.store.types[kind](**fields)
 
     def build(self, series, i):
-        v, kind = series.values[i], series.type
-        if kind == STRING:
-            return self.make(STRING, data=str(v))
-        if kind in {BATTERY, JOINTS, VALUE, ARRAY}:
-            return self.number(series, i)
-        header = self.header(series.stamp_ns[i], series.frame)
-        if kind == MAG:
-            return self.make(MAG, header=header, magnetic_field=self.xyz(v), magnetic_field_covariance=np.zeros(9))
-        if kind == ODOM:
-            with_covariance = self.make(
-                "geometry_msgs/msg/PoseWithCovariance", pose=self.pose(v), covariance=np.ones(36)
-            )
-            twist = self.make("geometry_msgs/msg/Twist", linear=self.xyz([1, 2, 3]), angular=self.xyz([4, 5, 6]))
-            moving = self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.ones(36))
-            return self.make(ODOM, header=header, child_frame_id=series.child, pose=with_covariance, twist=moving)
-        if kind == POSE:
-            return self.make(POSE, header=header, pose=self.pose(v))
-        if kind == COVARIANCE:
-            with_covariance = self.make(
-                "geometry_msgs/msg/PoseWithCovariance", pose=self.pose(v), covariance=np.ones(36)
-            )
-            return self.make(COVARIANCE, header=header, pose=with_covariance)
-        if kind == POINT:
-            return self.make(POINT, header=header, point=self.xyz(v, "Point"))
-        if kind == VECTOR:
-            return self.make(VECTOR, header=header, vector=self.xyz(v))
-        if kind == TRANSFORM:
-            return self.transform(header, series.child, v)
-        return self.make(TF, transforms=[self.transform(header, series.child, v)])
-
-    def number(self, series, i):
-        """A message whose only number that matters is the current."""
-        types, amps, none = self.store.types, float(series.values[i]), np.zeros(0, np.float32)
-        if series.type == VALUE:
-            return types[VALUE](data=amps)
-        if series.type == ARRAY:
-            dimension = types["std_msgs/msg/MultiArrayDimension"](label="motor", size=2, stride=2)
-            layout = types["std_msgs/msg/MultiArrayLayout"](dim=[dimension], data_offset=0)
-            return types[ARRAY](layout=layout, data=np.array([amps, 2 * amps], np.float32))
-        header = self.header(series.stamp_ns[i], series.frame)
-        if series.type == JOINTS:
-            return types[JOINTS](header, ["left", "right_wheel"], np.zeros(2), np.zeros(0), np.array([amps, -amps]))
-        return types[BATTERY](
-            header=header, voltage=24.0, temperature=20.0, current=amps, charge=1.0, capacity=2.0,
-            design_capacity=3.0, percentage=0.5, power_supply_status=1, power_supply_health=1,
-            power_supply_technology=1, present=True, cell_voltage=np.full(6, 4.0, np.float32), cell_temperature=none,
-            location="slot", serial_number="7",
-        )  # fmt: skip
+        return self.filled(series.type, content_of(series, i))
 
     def serialise(self, message, kind):
         return (self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr)(message, kind)
 
 
+def content_of(series, i):
+    """What a message says, by the names of its fields."""
+    v, kind, stamp = series.values[i], series.type, int(series.stamp_ns[i])
+    if kind == STRING:
+        return {"data": str(v)}
+    header = {"stamp": {"sec": stamp // SECOND, "nanosec": stamp % SECOND}, "frame_id": series.frame}
+    if kind in {BATTERY, JOINTS, VALUE, ARRAY}:  # whose only number that matters is the current
+        amps = float(v)
+        content = {"data": [amps, 2 * amps] if kind == ARRAY else amps, "current": amps}
+        return content | {"header": header, "name": ["left", "right_wheel"], "effort": [amps, -amps]}
+    first, turn = dict(zip("xyz", map(float, v), strict=False)), dict(zip("xyzw", map(float, v[3:]), strict=False))
+    pose = {"position": first, "orientation": turn}
+    content = {"header": header, "child_frame_id": series.child}
+    if kind in {MAG, VECTOR, POINT}:
+        return content | {VECTOR_FIELDS[kind]: first}
+    if kind in {TRANSFORM, TF}:
+        content["transform"] = {"translation": first, "rotation": turn}
+        return {"transforms": [content]} if kind == TF else content
+    return content | {"pose": pose if kind == POSE else {"pose": pose, "covariance": [1.0] * 36}}
+
+
 def in_time(series, messages):
-    """All messages of some topics in order of logging: (topic index, log time, bytes)."""
+    """All messages of some topics in order of logging: (topic index, log time, bytes); JSON without `messages`."""
     rows = [(int(t), k, i) for k, s in enumerate(series) for i, t in enumerate(s.log_ns)]
     for t, k, i in sorted(rows):
-        yield k, t, bytes(messages.serialise(messages.build(series[k], i), series[k].type))
+        if messages is None:
+            yield k, t, json.dumps(content_of(series[k], i)).encode()
+        else:
+            yield k, t, bytes(messages.serialise(messages.build(series[k], i), series[k].type))
 
 
 def write_ros1(path, series, compression=None):
@@ -225,7 +197,7 @@ def write_ros2(path, series, storage="sqlite3", compression=None):
 def write_mcap(path, series, encoding="cdr", compression="ZSTD", chunk_size=20_000, **options):
     from mcap.writer import CompressionType, Writer
 
-    messages = Messages(1 if encoding == "ros1" else 2)
+    messages = None if encoding == "json" else Messages(1 if encoding == "ros1" else 2)
     with Path(path).open("wb") as stream:
         writer = Writer(stream, chunk_size=chunk_size, compression=getattr(CompressionType, compression), **options)
         writer.start()
@@ -235,8 +207,7 @@ def write_mcap(path, series, encoding="cdr", compression="ZSTD", chunk_size=20_0
             kind = {"ros1": "ros1msg", "cdr": "ros2msg", "json": "jsonschema"}[encoding]
             schema = writer.register_schema(name, kind, b"{}" if encoding == "json" else b"# definition")
             channels.append(writer.register_channel(s.topic, encoding, schema))
-        rows = in_time(series, messages) if encoding != "json" else in_time_json(series)
-        for n, (k, t, data) in enumerate(rows):
+        for n, (k, t, data) in enumerate(in_time(series, messages)):
             writer.add_message(channels[k], t, data, t, n)
         writer.finish()
     return path
@@ -247,23 +218,6 @@ def write_bare_mcap(path, series):
 
     bare = {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False, "use_summary_offsets": False}
     return write_mcap(path, series, **bare, index_types=IndexType.NONE)
-
-
-def in_time_json(series):
-    rows = [(int(t), k, i) for k, s in enumerate(series) for i, t in enumerate(s.log_ns)]
-    for t, k, i in sorted(rows):
-        s, v = series[k], [float(x) for x in series[k].values[i]]
-        stamp = {"sec": int(s.stamp_ns[i] // SECOND), "nanosec": int(s.stamp_ns[i] % SECOND)}
-        content = {"header": {"stamp": stamp, "frame_id": s.frame}, "child_frame_id": s.child}
-        if s.type == MAG:
-            content["magnetic_field"] = dict(zip("xyz", v, strict=True))
-        else:
-            pose = {
-                "position": dict(zip("xyz", v[:3], strict=True)),
-                "orientation": dict(zip("xyzw", v[3:], strict=True)),
-            }
-            content["pose"] = {"pose": pose} if s.type in {ODOM, COVARIANCE} else pose
-        yield k, t, json.dumps(content).encode()
 
 
 WRITERS = {
@@ -294,6 +248,12 @@ def made():
         ros1=write_ros1, ros2=write_ros2, mcap=write_mcap, replace=replace,
         numbers={"/battery": BATTERY, "/joints": JOINTS, "/motors": ARRAY, "/amps": VALUE},
     )  # fmt: skip
+
+
+@pytest.fixture(params=WRITERS)
+def container(request):
+    """The name of each container in turn."""
+    return request.param
 
 
 @pytest.fixture

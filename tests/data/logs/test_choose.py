@@ -153,7 +153,7 @@ def test_positions_without_orientations_serve_a_field_in_their_frame(made, fligh
         read_survey(saved(mag, points))
 
 
-def test_plain_vectors_are_a_field_when_named(made, flight, saved):
+def test_plain_vectors_are_a_field_when_named_and_offered_those_named_after_it_first(made, flight, saved):
     mag, odom = flight.series
     vectors = made.replace(mag, type="geometry_msgs/msg/Vector3Stamped", values=1e6 * mag.values)
     path = saved(vectors, odom)
@@ -161,10 +161,6 @@ def test_plain_vectors_are_a_field_when_named(made, flight, saved):
         read_survey(path)
     survey = read_survey(path, SurveyFormat(mag_topic="/imu/mag", field_unit="uT"))
     np.testing.assert_allclose(np.linalg.norm(survey.field, axis=1), np.linalg.norm(flight.mag, axis=1))
-
-
-def test_topics_that_may_hold_the_field_are_offered_those_named_after_it_first(made, flight, saved):
-    mag, odom = flight.series
     vectors = [made.replace(mag, topic=name, type="geometry_msgs/msg/Vector3Stamped") for name in ("/acc", "/my_mag")]
     with pytest.raises(DataFormatError, match=r"--mag-topic /my_mag \(or /acc\)$"):
         read_survey(saved(*vectors, odom))
@@ -276,13 +272,3 @@ def test_pose_frames_are_two_names(frames, made, flight, saved):
     tf = made.Series("/tf", TF, flight.pose_ns, flight.poses, frame="map", child="mag_link")
     with pytest.raises(ConfigurationError, match="--pose-frames"):
         read_survey(saved(flight.series[0], tf), SurveyFormat(pose_frames=frames))
-
-
-def test_a_topics_rate_is_that_of_its_messages_over_the_time_between_them(made, flight, saved):
-    mag, odom = flight.series
-    (field,) = (
-        topic.facts() for topic in list_topics(saved(mag, odom), SurveyFormat())[0] if topic.name == mag.topic
-    )
-    t = mag.log_ns / SECOND
-    assert field["rate"] == pytest.approx(1 / np.median(np.diff(t)), rel=1e-5)
-    np.testing.assert_allclose(field["span"], [t[0], t[-1]])

@@ -4,13 +4,13 @@
 import gzip
 import itertools
 import struct
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.formats.format import SurveyFormat
-from magmatch.data.logs.read import list_topics
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
 
@@ -101,35 +101,14 @@ def test_seconds_of_ros1_have_no_sign(made, flight, tmp_path):
     np.testing.assert_allclose(survey.times - expected.times, 8e8, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("container", ["ROS 1 bag", "ROS 2 bag, sqlite3", "ROS 2 bag, mcap", "MCAP without summary"])
-def test_every_container_counts_the_same(container, made, flight, tmp_path):
-    topics, _ = list_topics(made.WRITERS[container](tmp_path, flight.series), SurveyFormat())
-    assert [(topic.name, topic.count, topic.first_ns, topic.last_ns) for topic in topics] == [
-        (series.topic, len(series.log_ns), series.log_ns[0], series.log_ns[-1]) for series in flight.series
-    ]
-
-
-def test_a_message_at_fault_is_named_by_its_number_in_the_topic(made, flight, tmp_path):
-    """Also behind the first batches that are decoded together."""
-    mag, odom = flight.series
-    n = 17_000
-    values = np.tile(mag.values[:1], (n, 1))
-    values[16_500] = np.nan
-    many = made.replace(mag, log_ns=mag.log_ns[0] + np.arange(n) * 500_000, stamp_ns=None, values=values)
-    with pytest.raises(DataFormatError, match="/imu/mag, message 16500: holds NaN"):
-        read_survey(made.mcap(tmp_path / "log.mcap", [many, odom]))
-
-
 def test_quaternions_may_be_rounded_and_no_more(made, flight, tmp_path):
     mag, odom = flight.series
-    for factor in (0.96, 1.04):
+    for factor in (0.94, 0.96, 1.04, 1.06):
         values = odom.values * [1.0, 1, 1, factor, factor, factor, factor]
-        survey = read_survey(made.mcap(tmp_path / "log.mcap", [mag, made.replace(odom, values=values)]))
-        assert len(survey) == 300
-    for factor in (0.94, 1.06):
-        values = odom.values * [1.0, 1, 1, factor, factor, factor, factor]
-        with pytest.raises(DataFormatError, match="expected a unit quaternion"):
-            read_survey(made.mcap(tmp_path / "log.mcap", [mag, made.replace(odom, values=values)]))
+        path = made.mcap(tmp_path / "log.mcap", [mag, made.replace(odom, values=values)])
+        is_refused = abs(factor - 1) > 0.05
+        with pytest.raises(DataFormatError, match="a unit quaternion") if is_refused else nullcontext():
+            assert len(read_survey(path)) == 300
 
 
 def test_warnings_about_a_packed_log_name_the_file_itself(made, flight, tmp_path, caplog):

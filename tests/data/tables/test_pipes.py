@@ -29,7 +29,7 @@ def piped(content):
 
     def write():
         try:
-            os.write(source, content) if len(content) < 65_536 else _write_all(source, content)
+            _write_all(source, content)
         except BrokenPipeError:
             pass
         finally:

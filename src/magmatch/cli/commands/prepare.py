@@ -120,7 +120,7 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorCorrection":
 
     from magmatch.data.checks import require_part
     from magmatch.data.diagnoses import of_magnitude
-    from magmatch.data.formats.table_columns import read_columns
+    from magmatch.data.formats.csv import read_columns
     from magmatch.data.sensor_axes import doubt_axes
     from magmatch.data.survey import Survey
     from magmatch.data.survey_columns import FIELD_COLUMNS

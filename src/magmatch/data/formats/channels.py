@@ -1,37 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Other numeric channels of a log, such as motor currents, that a disturbance of the field may follow."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from magmatch.data.formats.csv import read_columns
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.parquet import read_other_columns
+from magmatch.data.formats.recording import MAX_CHANNELS, Channels, TimeSeries
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.formats.table_columns import read_columns
 from magmatch.data.survey_columns import COLUMNS, column_numbers
 from magmatch.data.tables.table import Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.errors import DataFormatError
 from magmatch.typing import Scalars
-
-# Bound, stated in docs/formats.md: a robot's currents are a few; each costs three unknowns.
-MAX_CHANNELS = 64
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class TimeSeries:
-    """Numbers over time."""
-
-    # (n,), s: on the survey's clock, not decreasing; None where values stand row by row beside the samples
-    times: Scalars | None
-    values: Scalars  # (n,): in the file's own unit
-
-
-# The numbers of a log beside field and poses, by name.
-Channels = Mapping[str, TimeSeries]
 
 
 def channels_at(channels: Channels, times: Scalars | None, n: int) -> dict[str, Scalars]:

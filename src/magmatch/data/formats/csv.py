@@ -2,6 +2,7 @@
 """The survey CSV: header row, columns matched by name, units and frames settled once at the door."""
 
 import logging
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,21 +13,26 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import with_poses
 from magmatch.data.formats.recording import Recording
-from magmatch.data.formats.table_columns import advice_for, read_columns
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import (
+    COLUMNS,
     FIELD_COLUMNS,
+    FRAME_COLUMN,
     GLOBAL_COLUMNS,
     POSITION_COLUMNS,
+    ChosenColumns,
     choose_columns,
+    column_numbers,
     local_positions,
     position_columns,
+    refuse_numbers_of_others,
     warn_of_unused_times,
 )
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, Wanted, read_table
-from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.data.tables.text_rows import is_sample
+from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Points
 
@@ -56,6 +62,54 @@ def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
         is_count = False
     if not is_count:
         logger.warning("%s: a column without a name is left out; if it holds times, name it t in the header", path)
+
+
+def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenColumns]:
+    """Read the columns of a survey from a CSV, by the file's names; and which is which."""
+    stated, has_poses = layout.stated_columns(), layout.trajectory is None
+
+    def choose(names: Sequence[str]) -> ChosenColumns:
+        return choose_columns(path, names, stated, has_poses=has_poses)
+
+    wanted = Wanted(
+        (*stated.values(), *COLUMNS),
+        words=(FRAME_COLUMN,),
+        choose=lambda names: choose(names).ours,
+        numbered=column_numbers(stated),
+        check_numbered=lambda names: refuse_numbers_of_others(path, names, stated),
+        decimal=layout.decimal or "",
+        digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
+        recover=layout.recover,
+        advise=advice_for,
+    )
+    table = read_table(path, wanted)
+    chosen = choose(table.names)
+    _warn_of_units(path, chosen, layout)
+    return table, chosen
+
+
+def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat) -> None:
+    """Say so where the name of a column states another unit than the one that it is read in."""
+    read_in: dict[str, str] = {"t": layout.time_unit} if layout.rate is None else {}
+    read_in |= dict.fromkeys(POSITION_COLUMNS, layout.length_unit) | dict.fromkeys(FIELD_COLUMNS, layout.field_unit)
+    for theirs, ours in chosen.ours.items():
+        stated = next(iter(header_of([theirs]).units.values()), read_in.get(ours))
+        if ours in read_in and stated != read_in[ours]:
+            option = "time" if ours == "t" else "length" if ours in POSITION_COLUMNS else "field"
+            words = "%s: column '%s' is read in %s: is that what its name means? (--%s-unit %s)"
+            logger.warning(words, path, theirs, read_in[ours], option, stated)
+
+
+def advice_for(names: Sequence[str]) -> str:
+    """Advise about a table without the columns of a survey, from the names it has."""
+    if names and all(map(is_sample, names)):
+        pairs = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7" if len(names) > 6 else "t=1,bx=2,by=3,bz=4"
+        return f"Without a header, say which column is which, counted from 1: --columns {pairs}"
+    if len(names) == 1 and (mark := re.search(r"[^\w\s.()\[\]\"'/^-]", names[0])):
+        return f"If '{mark[0]}' separates the columns, write sep={mark[0]} in a line above"
+    if all(any(name.startswith(part) for name in names) for part in ("lat", "lon")):
+        return "Where they have other names: --columns lat=THEIRS,lon=...,bx=..."
+    return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
 
 
 def survey_of_table(

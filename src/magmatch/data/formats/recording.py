@@ -2,6 +2,7 @@
 """A recording: field samples and poses on one clock, before they are joined into a survey."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from dataclasses import field as field_of
 from pathlib import Path
@@ -10,7 +11,6 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.data.formats.channels import Channels
 from magmatch.data.survey import Survey
 from magmatch.data.surveyed_points import SurveyedPoints
 from magmatch.data.trajectory import Trajectory
@@ -19,6 +19,22 @@ from magmatch.number_text import many, told
 from magmatch.typing import Scalars, Vectors
 
 logger = logging.getLogger(__name__)
+
+# Bound, stated in docs/formats.md: a robot's currents are a few; each costs three unknowns.
+MAX_CHANNELS = 64
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TimeSeries:
+    """Numbers over time."""
+
+    # (n,), s: on the survey's clock, not decreasing; None where values stand row by row beside the samples
+    times: Scalars | None
+    values: Scalars  # (n,): in the file's own unit
+
+
+# The numbers of a log beside field and poses, by name.
+Channels = Mapping[str, TimeSeries]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

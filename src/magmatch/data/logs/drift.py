@@ -13,9 +13,9 @@ from magmatch.data.formats.sniff import sniff
 from magmatch.data.logs.messages import MalformedError, decode
 from magmatch.data.logs.open import opened_log
 from magmatch.data.logs.read import list_topics
-from magmatch.data.units import STATED_OVER
+from magmatch.data.units import DAMAGED, STATED_OVER
 from magmatch.geometry import path_walked
-from magmatch.typing import Points, Scalars, Tensors
+from magmatch.typing import Points, Tensors
 
 logger = logging.getLogger(__name__)
 
@@ -59,13 +59,17 @@ def drift(positions: Points, covariances: Tensors) -> tuple[float, float] | None
     """
     rows = np.unique(np.linspace(0, len(positions) - 1, min(len(positions), MOST_POSES)).astype(np.int64))
     x, C = positions[rows, :2], covariances[rows][:, [0, 1, 5]][:, :, [0, 1, 5]]
-    if len(rows) < 3 or not (np.isfinite(x).all() and np.isfinite(C).all()):
+    if len(rows) < 3 or not ((np.abs(x) < DAMAGED).all() and np.isfinite(C).all()):
         return None
     s = path_walked(x)
     place, turn = C[:, 0, 0] + C[:, 1, 1], C[:, 2, 2]
     moved = s > s[-1] / 2
     is_one = s[-1] > 0 and np.linalg.eigvalsh(C[moved])[:, 0].min() > 0 and place.max() < s[-1] ** 2
-    if not is_one or turn.max() > np.pi**2 or not _grows(turn, s):
+    if not is_one or turn.max() > np.pi**2:
+        return None
+    third = np.minimum((3 * s / s[-1]).astype(np.int64), 2)
+    means = [turn[third == k].mean() for k in range(3) if (third == k).any()]
+    if len(means) < 3 or not (np.diff(means) > 0).all():  # it grows from each third of the path to the next
         return None
     # What each step adds to what the turns before it carry along.
     F = np.tile(np.eye(3), (len(x) - 1, 1, 1))
@@ -75,10 +79,3 @@ def drift(positions: Points, covariances: Tensors) -> tuple[float, float] | None
     if p <= 0 or q <= 0:
         return None
     return float(np.sqrt(p * STATED_OVER)), float(np.degrees(np.sqrt(q * STATED_OVER)))
-
-
-def _grows(variance: Scalars, walked: Scalars) -> bool:
-    """Whether it is larger in each third of the path than in the one before, on average."""
-    third = np.minimum((3 * walked / walked[-1]).astype(np.int64), 2)
-    means = [variance[third == k].mean() for k in range(3) if (third == k).any()]
-    return len(means) == 3 and bool((np.diff(means) > 0).all())

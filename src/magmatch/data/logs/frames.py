@@ -99,7 +99,7 @@ def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, E
 
 def fixed_edges(moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> dict[Frames, RigidTransform]:
     """Edges that never move: those of ``/tf_static``, and those of ``/tf`` whose messages all say the same."""
-    constant = {frames: part for frames, part in moving.items() if _is_constant(part.values)}
+    constant = {f: part for f, part in moving.items() if (np.ptp(_aligned(part.values), axis=0) <= ROUNDING).all()}
     return {frames: _transform(part) for frames, part in (constant | static).items()}
 
 
@@ -109,11 +109,6 @@ def extremes(part: Entries) -> Entries:
         return part
     aligned = _aligned(part.values)
     return part.at(np.unique([*aligned.argmin(axis=0), *aligned.argmax(axis=0), _last(part)]))
-
-
-def _is_constant(values: Matrix) -> bool:
-    """Whether poses are equal but for rounding."""
-    return bool((np.ptp(_aligned(values), axis=0) <= ROUNDING).all())
 
 
 def _aligned(values: Matrix) -> Matrix:

@@ -90,8 +90,11 @@ def _fixed_joints(path: Path, words: str) -> dict[Frames, RigidTransform]:
             if joint.get("type") != "fixed" or None in ends:
                 continue
             origin = joint.find("origin")
-            texts = ("0 0 0" if origin is None else origin.get(name) or "0 0 0" for name in ("xyz", "rpy"))
+            texts = ["0 0 0" if origin is None else origin.get(name) or "0 0 0" for name in ("xyz", "rpy")]
             xyz, rpy = ([float(word) for word in text.split()] for text in texts)
+            if (len(xyz), len(rpy)) != (3, 3):
+                msg = f"expected three numbers each in xyz and rpy, found {texts}"
+                raise ValueError(msg)  # noqa: TRY301
             parent, child = (end.get("link", "").lstrip("/") for end in ends if end is not None)
             found[parent, child] = RigidTransform.from_components(xyz, Rotation.from_euler("xyz", rpy))
     except (ElementTree.ParseError, ValueError) as error:

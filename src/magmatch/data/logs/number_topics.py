@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from magmatch.data.formats.channels import MAX_CHANNELS, Channels, TimeSeries
+from magmatch.data.formats.recording import MAX_CHANNELS, Channels, TimeSeries
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import ENCODINGS, decode, number
 from magmatch.data.tables.text import printable
@@ -53,16 +53,14 @@ def read_numbers(log: Log, topics: Sequence[Topic], delay_ns: float) -> Channels
     names = sorted(parts)[:MAX_CHANNELS]
     if len(parts) > len(names):
         logger.warning("%s: holds %d other channels; read are the first %d", log.path, len(parts), len(names))
-    joined = {name: _joined(*parts[name], delay_ns) for name in names}
-    return {name: channel for name, channel in joined.items() if len(channel.values)}
-
-
-def _joined(times: Sequence[int], numbers: Sequence[float], delay_ns: float) -> TimeSeries:
-    """One channel in the order of time, without NaN and infinity."""
-    log_ns, values = np.array(times) - round(delay_ns), np.array(numbers)
-    order = np.argsort(log_ns, kind="stable")
-    order = order[np.isfinite(values[order])]
-    return TimeSeries(seconds_of(log_ns[order].tolist()), values[order])
+    channels = {}
+    for name in names:
+        log_ns, numbers = (np.array(part) for part in parts[name])
+        order = np.argsort(log_ns, kind="stable")
+        order = order[np.isfinite(numbers[order])]
+        if len(order):
+            channels[name] = TimeSeries(seconds_of((log_ns[order] - round(delay_ns)).tolist()), numbers[order])
+    return channels
 
 
 def _named(kind: str, message: Any) -> Iterator[tuple[str, Any]]:

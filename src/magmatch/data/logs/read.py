@@ -80,22 +80,18 @@ def _poses(
     if stream is not None:
         entries = in_order(path, stream.topic.name, _of_one_frame(path, stream))
         return trajectory_of(path, entries).scaled(metre), entries.frames, entries.values.shape[1] == 7
-    fixed, body = _pose_frames(layout.pose_frames) if layout.pose_frames else (tree.root_over(sensor), sensor)
+    fixed, body = tree.root_over(sensor), sensor
+    if layout.pose_frames:
+        fixed, _, body = (name.strip().lstrip("/") for name in layout.pose_frames.partition(","))
+        if "," in body or not (fixed and body) or fixed == body:
+            msg = f"--pose-frames: expected two frames such as map,base_link; found '{layout.pose_frames}'"
+            raise ConfigurationError(msg)
     if fixed == body:
         known = ", ".join(tree.frames()[:12])
         message = f"tf does not know {sensor!r}, the frame of the field; it knows {known}: --pose-frames MAP,BODY"
         raise DataFormatError(path, message)
     logger.info("%s: poses of %s in %s from tf", path, body, fixed)
     return tree.trajectory(path, fixed, body).scaled(metre), (fixed, body), True
-
-
-def _pose_frames(text: str) -> Frames:
-    """Two names of frames."""
-    names = [name.strip().lstrip("/") for name in text.split(",")]
-    if len(names) != 2 or not all(names) or names[0] == names[1]:
-        msg = f"--pose-frames: expected two frames such as map,base_link; found '{text}'"
-        raise ConfigurationError(msg)
-    return names[0], names[1]
 
 
 def _of_one_frame(path: Path, stream: TopicStream) -> Entries:

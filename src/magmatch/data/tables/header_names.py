@@ -67,17 +67,13 @@ def header_of(words: Sequence[str], lone: str = "") -> Header:
     """Read names of columns; `lone` is what axes without a word before them are of: "b" of the field."""
     if is_of_rostopic(words):
         clock = _STAMP if _STAMP in words else words[0]
-        found = [("t", "ns") if word == clock else _of_message(word, lone) for word in words]
+        of_fields = (_name_of(word.removeprefix(_OF_MESSAGE), lone) for word in words)
+        found = [("?" if name == "t" else name, unit) for name, unit in of_fields]  # no further times
+        found = [("t", "ns") if word == clock else one for word, one in zip(words, found, strict=True)]
     else:
         found = [_name_of(word, lone) for word in words]
     units = {name: unit for name, unit in found if name and unit}
     return Header(tuple(word.strip() for word in words), tuple(name for name, _ in found), units)
-
-
-def _of_message(word: str, lone: str) -> tuple[str, str]:
-    """Our name of a field of a message; none of further times."""
-    name, unit = _name_of(word.removeprefix(_OF_MESSAGE), lone)
-    return ("?" if name == "t" else name), unit
 
 
 def words_of(line: str) -> list[str]:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What an export says beside its readings counts: pauses of phyphox, and the signs of Sensor Logger on iPhones."""
 
-import zipfile
-
 import numpy as np
 import pytest
 
@@ -24,7 +22,7 @@ def about_time(pauses, mark=",", decimal=".", start=1.7e9):
     return "\n".join([head, *(line.replace(".", decimal) for line in lines), ""])
 
 
-def export(path, about, name="meta/time.csv", app="phyphox"):
+def export(path, about, name="meta/time.csv", app="phyphox", zipped=None):
     """A folder, or an archive with a folder in it."""
     head = 'Time (s),"Magnetic field x (µT)","Magnetic field y (µT)","Magnetic field z (µT)"'
     table = "\n".join([head, *(f"{t},{i},2,-45" for i, t in enumerate(TIMES)), ""])
@@ -36,10 +34,7 @@ def export(path, about, name="meta/time.csv", app="phyphox"):
     if about is not None:
         members[name] = about
     if path.suffix == ".zip":
-        with zipfile.ZipFile(path, "w") as archive:
-            for member, text in members.items():
-                archive.writestr(f"walk 1/{member}", text)
-        return path
+        return zipped(path, {f"walk 1/{member}": text for member, text in members.items()})
     for member, text in members.items():
         (path / member).parent.mkdir(parents=True, exist_ok=True)
         (path / member).write_text(text)
@@ -48,9 +43,9 @@ def export(path, about, name="meta/time.csv", app="phyphox"):
 
 @pytest.mark.parametrize("case", EVENTS)
 @pytest.mark.parametrize("name", ["phone", "phone.zip"])
-def test_what_follows_a_pause_is_moved_by_it(name, case, tmp_path, caplog):
+def test_what_follows_a_pause_is_moved_by_it(name, case, tmp_path, zipped, caplog):
     pauses = EVENTS[case]
-    log = read_phone_log(export(tmp_path / name, about_time(pauses)))
+    log = read_phone_log(export(tmp_path / name, about_time(pauses), zipped=zipped))
     expected = TIMES + sum((length * (at <= TIMES) for at, length in pauses), np.zeros(len(TIMES)))
     np.testing.assert_allclose(log.streams["field"].times, expected, rtol=0, atol=1e-6)
     said = ", ".join(f"{length:g} s at {at:g} s" for at, length in pauses)
