@@ -75,7 +75,7 @@ def test_the_first_fault_is_named_whatever_a_later_one_is(tmp_path):
         read_survey(path)
 
 
-@pytest.mark.parametrize(("tesla", "metre"), zip(TESLA_PER_UNIT, 2 * [*METRE_PER_UNIT], strict=True))
+@pytest.mark.parametrize(("tesla", "metre"), [*zip(TESLA_PER_UNIT, 2 * [*METRE_PER_UNIT], strict=True)])
 def test_units_only_scale_their_numbers(tesla, metre, tmp_path):
     path, layout = write(tmp_path / "survey.csv", PLAIN), SurveyFormat(field_unit=tesla, length_unit=metre)
     survey = read_survey_csv(path, layout)

@@ -132,8 +132,7 @@ def read_sensor(path: Path, layout: "SurveyFormat") -> "SensorCorrection":
 
     if read_bytes(path, 64).lstrip()[:1] == b"{":
         return PreparationReport.load(path).sensor
-    table, chosen = read_columns(path, layout)
-    table = chosen.of(table)
+    table, _ = read_columns(path, layout)
     table.require(FIELD_COLUMNS, "A recording of a rotating sensor needs only these")
     readings = table.stack(*FIELD_COLUMNS) * TESLA_PER_UNIT[layout.field_unit]
     turned = Survey(np.zeros_like(readings), readings, name=str(path))

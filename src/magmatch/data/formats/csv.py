@@ -4,6 +4,7 @@
 import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,18 +32,18 @@ from magmatch.data.survey_columns import (
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, Wanted, read_table
+from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import is_sample
 from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, TESLA_PER_UNIT
 from magmatch.errors import ConfigurationError, DataFormatError
-from magmatch.typing import Points
+from magmatch.typing import Points, Scalars
 
 logger = logging.getLogger(__name__)
 
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
     """Read a survey CSV into tesla, metre and the survey's frame."""
-    table, chosen = read_columns(path, layout)
-    table = chosen.of(table)
+    table, _ = read_columns(path, layout)
     if layout.rate is None:
         _warn_of_unnamed(table, layout)
     return survey_of_table(table, layout)
@@ -55,8 +56,7 @@ def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
         return
     path = table.path
     try:
-        wanted = Wanted((name,), decimal=table.decimal, recover=layout.recover, header_line=table.header_line)
-        values = read_table(path, wanted).columns[name]
+        values = _read_one(path, layout, table, name).columns[name]
         is_count = values[0] % 1 == 0 and bool((np.diff(values) == 1).all())
     except DataFormatError:
         is_count = False
@@ -65,7 +65,7 @@ def _warn_of_unnamed(table: Table, layout: SurveyFormat) -> None:
 
 
 def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenColumns]:
-    """Read the columns of a survey from a CSV, by the file's names; and which is which."""
+    """Read the columns of a survey from a CSV, by our names; and which is which in the file."""
     stated, has_poses = layout.stated_columns(), layout.trajectory is None
 
     def choose(names: Sequence[str]) -> ChosenColumns:
@@ -85,7 +85,7 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
     table = read_table(path, wanted)
     chosen = choose(table.names)
     _warn_of_units(path, chosen, layout)
-    return table, chosen
+    return chosen.of(table), chosen
 
 
 def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat) -> None:
@@ -110,6 +110,35 @@ def advice_for(names: Sequence[str]) -> str:
     if all(any(name.startswith(part) for name in names) for part in ("lat", "lon")):
         return "Where they have other names: --columns lat=THEIRS,lon=...,bx=..."
     return "Where they have other names: --columns x=THEIRS,y=...,bx=..."
+
+
+def read_other_columns(
+    path: str | Path, layout: SurveyFormat, most: int
+) -> tuple[Scalars | None, dict[str, Scalars]]:
+    """Times in s, and the number columns that are none of a survey's."""
+    table, chosen = read_columns(path, layout)
+    lines = text_lines(path)
+    columns: dict[str, Scalars] = {}
+    for name in table.names:
+        if name in {*chosen.ours, *COLUMNS, ""} or table.names.count(name) > 1 or len(columns) == most:
+            continue
+        with suppress(DataFormatError):
+            other = _read_one(path, layout, table, name, lines)
+            is_there = np.isin(other.line_numbers, table.line_numbers)
+            if is_there.sum() == len(table):
+                columns[name] = other.columns[name][is_there]
+    return table.columns.get("t"), columns
+
+
+def _read_one(
+    path: Path | str, layout: SurveyFormat, table: Table, name: str, lines: Sequence[str] | None = None
+) -> Table:
+    """Read one more column of a table, below the same header and with the same decimal mark."""
+    numbered = column_numbers(layout.stated_columns())
+    wanted = Wanted(
+        (name,), numbered=numbered, decimal=table.decimal, recover=layout.recover, header_line=table.header_line
+    )
+    return read_table(path, wanted, lines)
 
 
 def survey_of_table(

@@ -40,9 +40,7 @@ def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tupl
     if layout.pose_topic is not None:
         has_own = not any(is_named(topic, layout.pose_topic) and topic.type in TREES for topic in topics)
     else:
-        has_own = any(
-            topic.type in POSE_TYPES and topic.encoding in ENCODINGS and may_be_path(topic) for topic in topics
-        )
+        has_own = any(t.type in POSE_TYPES and t.encoding in ENCODINGS and may_be_path(t) for t in topics)
     if has_own and not is_elsewhere:
         field, pose = _choose(path, topics, layout, needs_pose=True)
         # Goals may be set before the field is recorded.

@@ -53,10 +53,8 @@ class FrameTree:
         """``T_to_from`` at every time at which a moving edge between them was stamped and all are known."""
         edges = path_between([*self.static, *self.moving], to, frm)
         if edges is None:
-            message = (
-                f"tf does not connect {frm!r} to {to!r}; it knows {', '.join(self.frames()[:12]) or 'no frames'}"
-            )
-            raise DataFormatError(path, message)
+            known = ", ".join(self.frames()[:12]) or "no frames"
+            raise DataFormatError(path, f"tf does not connect {frm!r} to {to!r}; it knows {known}")
         parts = [self.moving[edge] for edge, _ in edges if edge in self.moving]
         if not parts:
             raise DataFormatError(path, f"tf never moves {frm!r} against {to!r}: no poses between them")
@@ -78,9 +76,8 @@ class FrameTree:
         if edge in self.moving:
             return self.moving[edge].interpolate(times)
         T = self.static[edge]
-        return np.tile(T.translation, (len(times), 1)), Rotation.from_quat(
-            np.tile(T.rotation.as_quat(), (len(times), 1))
-        )
+        turns = np.tile(T.rotation.as_quat(), (len(times), 1))
+        return np.tile(T.translation, (len(times), 1)), Rotation.from_quat(turns)
 
 
 def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> FrameTree:

@@ -19,9 +19,8 @@ def rotations_of(table: Table) -> Rotation | None:
         return None
     if len(present) < len(QUATERNION):
         missing = ", ".join(name for name in QUATERNION if name not in present)
-        raise DataFormatError(
-            table.path, f"half a quaternion: found {', '.join(present)}, missing {missing}", column=missing
-        )
+        message = f"half a quaternion: found {', '.join(present)}, missing {missing}"
+        raise DataFormatError(table.path, message, column=missing)
     quaternions = table.stack(*QUATERNION)
     with np.errstate(over="ignore"):  # absurd numbers become infinite, and are refused as such
         norms = np.linalg.norm(quaternions, axis=1)
@@ -29,10 +28,6 @@ def rotations_of(table: Table) -> Rotation | None:
     if len(wrong):
         row = int(wrong[0])
         found = "a zero quaternion" if norms[row] == 0 else f"one of length {norms[row]:.4g}"
-        raise DataFormatError(
-            table.path,
-            f"expected a unit quaternion, found {found}",
-            line=int(table.line_numbers[row]),
-            column="qx..qw",
-        )
+        message = f"expected a unit quaternion, found {found}"
+        raise DataFormatError(table.path, message, line=int(table.line_numbers[row]), column="qx..qw")
     return Rotation.from_quat(quaternions)

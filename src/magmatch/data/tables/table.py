@@ -196,9 +196,8 @@ def table_of_columns(
     if len(set(lengths.values())) > 1:
         found = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise DataFormatError(path, f"expected arrays of one length, found {found}")
-    is_finite = np.isfinite(np.column_stack([*columns.values(), np.zeros(max(lengths.values(), default=0))])).all(
-        axis=1
-    )
+    block = np.column_stack([*columns.values(), np.zeros(max(lengths.values(), default=0))])
+    is_finite = np.isfinite(block).all(axis=1)
     if not is_finite.all():
         row = int(np.argmin(is_finite))
         name = next(name for name, values in columns.items() if not np.isfinite(values[row]))

@@ -67,10 +67,9 @@ def _opened(path: str | Path) -> Iterator[BinaryIO]:
     try:
         place = at_rest(path)
         mode = place.stat().st_mode
-        if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):
-            raise DataFormatError(path, "is not a regular file (a device or socket), expected a file")
-        if stat.S_ISDIR(mode):
-            raise DataFormatError(path, "is a folder, expected a file")
+        if not stat.S_ISREG(mode):
+            found = "a folder" if stat.S_ISDIR(mode) else "not a regular file (a device or socket)"
+            raise DataFormatError(path, f"is {found}, expected a file")
         with place.open("rb") as stream:
             is_packed = stream.read(len(MAGIC)) == MAGIC
             stream.seek(0)
@@ -125,10 +124,9 @@ def text_lines(path: str | Path, raw: bytes | None = None) -> list[str]:
     try:
         text = raw.decode("utf-16" if raw.startswith(BYTE_ORDER_MARKS) else "utf-8-sig")
     except UnicodeDecodeError as error:
-        message = (
-            f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save it as UTF-8, or it is not a text file at all"
-        )
-        raise DataFormatError(path, message, line=raw.count(b"\n", 0, error.start) + 1) from None
+        message = f"is not UTF-8 text (byte 0x{raw[error.start]:02x}); save it as UTF-8"
+        line = raw.count(b"\n", 0, error.start) + 1
+        raise DataFormatError(path, f"{message}, or it is not a text file at all", line=line) from None
     if "\0" in text:
         message = "holds NUL bytes: a binary file, one cut off while writing, or UTF-16 (save it as UTF-8)"
         raise DataFormatError(path, message, line=text.count("\n", 0, text.index("\0")) + 1)

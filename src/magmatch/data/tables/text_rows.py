@@ -149,9 +149,8 @@ def names_of(
         raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=line)
     for name in names:
         if name in known and names.count(name) > 1:
-            raise DataFormatError(
-                path, f"the column appears {names.count(name)} times; rename the others", line=line, column=name
-            )
+            message = f"the column appears {names.count(name)} times; rename the others"
+            raise DataFormatError(path, message, line=line, column=name)
     return tuple(names)
 
 

@@ -90,10 +90,8 @@ def read_table_streams(
     names = _cells(lines[first])
     columns = columns_of(names, stem)
     if columns is None:
-        message = (
-            f"expected a phone's table (phyphox, AndroSensor, Sensor Logger, Android); found columns {listed(names)}"
-        )
-        raise DataFormatError(place, message, line=first + 1)
+        message = "expected a phone's table (phyphox, AndroSensor, Sensor Logger, Android); found columns"
+        raise DataFormatError(place, f"{message} {listed(names)}", line=first + 1)
     if columns.tag:
         return columns.app, _tagged(place, rows, columns, wanted, recover=recover)
     streams = {}
@@ -141,9 +139,8 @@ def columns_of(names: list[str], stem: str) -> Columns | None:
         sensor = _UNITS.get(found["unit"]) if found else None
         if found and sensor:
             what, unit = found["what"], found["unit"]
-            sensors.setdefault(
-                _variant(sensor, f"{what} {stem}"), tuple(f"{what} {a} ({unit})".strip() for a in AXES)
-            )
+            axes = tuple(f"{what} {a} ({unit})".strip() for a in AXES)
+            sensors.setdefault(_variant(sensor, f"{what} {stem}"), axes)
     app, time = _clock_of(names)
     return Columns(app, time, sensors) if sensors and app else None
 
