@@ -119,9 +119,9 @@ def test_row_names_of_r_need_no_name_in_the_header(mark, rows, tmp_path, caplog)
 
 
 def test_what_may_be_a_last_column_without_a_name_is_no_row_name(rows, tmp_path):
-    for first in ('"2026-05-01T10:00:00"', "1"):  # a quoted date, a number
-        path = write(tmp_path / "r.txt", rows, change=lambda _, cells, first=first: [first, *cells])
-        with pytest.raises(DataFormatError, match=r"line 2: expected 7 cells .* row names or numbers need a name"):
+    for mark, first in ((",", '"2026-05-01T10:00:00"'), (" ", "1")):  # a quoted date, a number
+        path = write(tmp_path / "r.txt", rows, mark=mark, change=lambda _, cells, first=first: [first, *cells])
+        with pytest.raises(DataFormatError, match=r"line 2: expected 7 cells .* row n.* need a name"):
             read_survey(path, UT)
     quoted = write(tmp_path / "quoted.csv", rows, change=lambda _, cells: [f'"{cell}"' for cell in (*cells, "")])
     np.testing.assert_array_equal(read_survey(quoted, UT).times, rows[:, 0])

@@ -190,13 +190,6 @@ def test_samples_without_a_pose_are_dropped_and_counted(log, caplog):
     assert "dropped 9 of 128 samples without a pose (4 before the trajectory begins, 5 after it ends)" in caplog.text
 
 
-def test_trajectory_needs_times_in_the_log(log):
-    path, poses, _ = log
-    write(path, PLAIN)
-    with pytest.raises(DataFormatError, match=r"missing t; .*clock"):
-        read_survey(path, SurveyFormat(trajectory=poses))
-
-
 def test_positions_beside_a_trajectory_are_said_to_be_ignored(log, caplog):
     path, poses, _ = log
     write(path, "\n".join(["t,x,y,z,bx,by,bz", *(f"{i},{line}" for i, line in enumerate(LINES))]))

@@ -107,7 +107,7 @@ class Messages:
 
     def __init__(self, version):
         self.is_ros1 = version == 1
-        self.store = type_store(version)
+        self.store, self.zeros = type_store(version), {}
 
     def filled(self, kind, content):
         """A message of a type; what the content does not name is zero, empty or false."""
@@ -115,7 +115,9 @@ class Messages:
 
         def value(given, what, detail):
             if what is Nodetype.NAME:
-                return self.filled(detail, given or {})
+                if given is None and detail not in self.zeros:
+                    self.zeros[detail] = self.filled(detail, {})
+                return self.zeros[detail] if given is None else self.filled(detail, given)
             if what is Nodetype.BASE:
                 return given if given is not None else {"string": "", "bool": False}.get(detail[0], 0)
             (inner, name), n = detail

@@ -55,11 +55,11 @@ def read_numbers(log: Log, topics: Sequence[Topic], delay_ns: float) -> Channels
         logger.warning("%s: holds %d other channels; read are the first %d", log.path, len(parts), len(names))
     channels = {}
     for name in names:
-        log_ns, numbers = (np.array(part) for part in parts[name])
-        order = np.argsort(log_ns, kind="stable")
+        logged, numbers = (np.array(part) for part in parts[name])
+        order = np.argsort(logged, kind="stable")
         order = order[np.isfinite(numbers[order])]
         if len(order):
-            channels[name] = TimeSeries(seconds_of((log_ns[order] - round(delay_ns)).tolist()), numbers[order])
+            channels[name] = TimeSeries(seconds_of((logged[order] - round(delay_ns)).tolist()), numbers[order])
     return channels
 
 
