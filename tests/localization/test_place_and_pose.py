@@ -12,7 +12,7 @@ from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus
 from magmatch.localization.localize import localize
 from magmatch.localization.result import LocalizationStatus
-from magmatch.viz.pages.track_page import next_steps, verdict_on, write_track_report
+from magmatch.viz.pages.track_page import steps_after, verdict_on, write_track_report
 
 UNCERTAIN = "place known, pose too uncertain"
 
@@ -54,8 +54,8 @@ def test_table_plot_and_advice_of_the_report_agree(strict, tmp_path):
     pytest.importorskip("plotly")
     result = strict.result()
     assert result.segments[-1].phase == UNCERTAIN
-    assert "--max-sd" in " ".join(next_steps(result))
-    assert "left the map" not in " ".join(next_steps(result))
+    assert "--max-sd" in " ".join(steps_after(result))
+    assert "left the map" not in " ".join(steps_after(result))
     assert "Pose too uncertain at the end" in verdict_on(result)
     write_track_report(tmp_path / "r.html", strict, result)
     page = (tmp_path / "r.html").read_text()
@@ -72,7 +72,7 @@ def test_a_log_that_ends_at_a_known_place_is_not_said_to_be_lost(followed):
     assert "Pose too uncertain at the end in place" in tell(result)
     lost = replace(followed.track, estimates=[*estimates[:-1], replace(estimates[-1], is_place_known=False)]).result()
     assert "Lost in place" in tell(lost)
-    assert "left the map" in " ".join(next_steps(lost))
+    assert "left the map" in " ".join(steps_after(lost))
 
 
 def test_a_track_that_was_never_localised_has_no_poses(strict):

@@ -18,7 +18,7 @@ from magmatch.registration.result import Alternative, DegenerateDirection, Links
 from magmatch.viz.figures.registration_figures import shown_pose
 from magmatch.viz.pages.registration_page import write_report
 from magmatch.viz.pages.track_page import verdict_on
-from magmatch.viz.verdict import MEANING, NEXT_STEPS, next_steps
+from magmatch.viz.verdict import meaning, next_steps, steps_after
 
 pytest.importorskip("plotly")
 from magmatch.viz.view import write_view
@@ -95,8 +95,8 @@ def test_every_status_says_what_it_means_and_what_to_do(pair, tmp_path, status):
     result = pair.accepted if status is Status.ACCEPTED else replace(pair.refused, status=status)
     write_report(tmp_path / "r.html", None, None, result)
     page = unescape((tmp_path / "r.html").read_text())
-    assert MEANING[status] in page
-    assert all(step in page for step in NEXT_STEPS[status])
+    assert meaning(status) in page
+    assert all(step in page for step in next_steps(status))
 
 
 def test_a_result_with_nothing_but_a_status_is_reported(pair, tmp_path):
@@ -196,7 +196,7 @@ def test_a_map_is_viewed_as_in_its_report_and_names_may_repeat(pair, tmp_path):
 def test_what_is_known_already_is_not_asked_for(status, known):
     def advised(prior):
         config = RegistrationConfig.model_validate({"prior": prior}).model_dump(mode="json")
-        return " ".join(next_steps(RegistrationResult(status, "so it is", None, config=config)))
+        return " ".join(steps_after(RegistrationResult(status, "so it is", None, config=config)))
 
     assert "--gravity-aligned" in advised({})
     assert "--gravity-aligned" not in advised({known: True})

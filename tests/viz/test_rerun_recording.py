@@ -123,24 +123,23 @@ def test_a_recording_of_far_frames_shows_samples_where_they_are(pair, base, targ
     shown = far(pair, base, target)
     write_rerun(tmp_path / "o.rrd", shown)
     chunks = chunks_of(tmp_path / "o.rrd")
-    near = [pair.accepted.T_base_target.apply(pair.target.positions) + base - shown.origins[0]]
+    near = pair.accepted.T_base_target.apply(pair.target.positions) + base - shown.parts[0].origin
     (p,) = column(chunks["/target/samples"], "positions")
     T = RigidTransform.from_components(
         column(chunks["/target"], "translation")[-1][0],
         Rotation.from_quat(column(chunks["/target"], "quaternion")[-1][0]),
     )
     # Single precision of positions within a kilometre and of a quaternion.
-    np.testing.assert_allclose(T.apply(np.array(p)), near[0], atol=3e-4)
+    np.testing.assert_allclose(T.apply(np.array(p)), near, atol=3e-4)
     (q,) = column(chunks["/base/samples"], "positions")
-    np.testing.assert_allclose(q, pair.base.positions + base - shown.origins[0], atol=1e-4)
+    np.testing.assert_allclose(q, pair.base.positions + base - shown.parts[0].origin, atol=1e-4)
     links = np.array(column(chunks["/links"], "strips")[-1])
     assert np.ptp(links, axis=1).max() < 1e-3
     # Where the origin is, is said in numbers and in words.
-    origins = {"base": base, "target": target}
-    for (part, origin), place in zip(shown.placed, origins.values(), strict=True):
-        assert np.abs(origin - place).max() < 1000
+    for part, place in zip(shown.parts, (base, target), strict=True):
+        assert np.abs(part.origin - place).max() < 1000
         found = column(chunks.get(f"/{part.name}", []), "origin_m")
-        assert np.array_equal(np.ravel(found), origin) if place.any() else not found
+        assert np.array_equal(np.ravel(found), part.origin) if place.any() else not found
     assert any("691000, 5334000" in words or "5334000, 691000" in words for words in shown.words)
 
 

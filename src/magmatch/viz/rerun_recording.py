@@ -20,10 +20,10 @@ from magmatch.number_text import told
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.slam.session import Session
-from magmatch.typing import Indices, Matrix, Scalars, Vector3
+from magmatch.typing import Indices, Scalars, Vector3
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.registration_figures import shown_pose
-from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, map_in
+from magmatch.viz.figures.slices import Cut, cut_through, field_on, limits_of, map_in
 from magmatch.viz.verdict import headline
 
 # Steps of the timeline 'registration', from as recorded to registered.
@@ -45,11 +45,21 @@ class Part:
     name: str  # unique among the parts; what its node is called
     survey: Survey
     field_map: FieldMap | None
+    # (3,), m: the point of its frame that is its origin in the recording: positions there are of single precision
+    origin: Vector3
 
     @property
     def rows(self) -> Indices:
         """Samples that are drawn."""
         return draw.thinned(len(self.survey), MAX_SHOWN)
+
+    @property
+    def words(self) -> str:
+        """Description of what is drawn."""
+        n, n_drawn = len(self.survey), len(self.rows)
+        drawn = "" if n == n_drawn else f", {n_drawn} drawn"
+        with_map = "" if self.field_map is None else ", with its map"
+        return f"{self.name}: {self.survey.name}, {n} samples{drawn}{with_map}."
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -57,9 +67,7 @@ class RerunScene:
     """Everything that a recording shows."""
 
     parts: tuple[Part, ...]  # with a registration: base and target
-    # Points of each part's frame that are its origin in the recording, m: positions there are of single precision
-    origins: tuple[Vector3, ...]
-    # Pose of the target in the base, between these origins; the best candidate if none was accepted
+    # Pose of the target in the base, between their origins; the best candidate if none was accepted
     T_base_target: RigidTransform | None
     result: RegistrationResult | None
     # (float, float), uT: range of the colour scale of field magnitudes, common to all parts
@@ -68,20 +76,17 @@ class RerunScene:
     @property
     def words(self) -> list[str]:
         """Description of the picture."""
-        said = [] if self.result is None else [headline(self.result) + ".", self.result.reason + "."]
-        said += [f"{part.name}: {_described(part)}." for part in self.parts]
-        said += [
-            f"{part.name}: coordinates are relative to {', '.join(map(told, o))} m."
-            for part, o in self.placed
-            if o.any()
-        ]
         low, high = self.limits
-        return [*said, f"Shades of field magnitude go from {low:.3g} uT (dark) to {high:.3g} uT (light)."]
-
-    @property
-    def placed(self) -> Iterator[tuple[Part, Vector3]]:
-        """Parts with their origins."""
-        return zip(self.parts, self.origins, strict=True)
+        return [
+            *([] if self.result is None else [headline(self.result) + ".", self.result.reason + "."]),
+            *(part.words for part in self.parts),
+            *(
+                f"{part.name}: coordinates are relative to {', '.join(map(told, part.origin))} m."
+                for part in self.parts
+                if part.origin.any()
+            ),
+            f"Shades of field magnitude go from {low:.3g} uT (dark) to {high:.3g} uT (light).",
+        ]
 
     def pose_of_target(self, share: float) -> RigidTransform:
         """Place the target on the way from as it was recorded (0) to registered (1)."""
@@ -91,28 +96,18 @@ class RerunScene:
         turn = Slerp([0.0, 1.0], type(self.T_base_target.rotation).from_matrix(ends))(share)
         return RigidTransform.from_components(share * self.T_base_target.translation, turn)
 
-    def links(self, share: float) -> np.ndarray:
-        """Both ends of every link in the base's frame, (n, 2, 3), with the target where `pose_of_target` has it."""
-        if self.result is None:
-            return np.zeros((0, 2, 3), dtype=np.float32)
-        rows, ends = draw.thinned(len(self.result.links.base), MAX_LINKS), self.result.links
-        base, target = self.origins
-        moved = self.pose_of_target(share).apply(ends.target[rows] - target)
-        return np.stack([ends.base[rows] - base, moved], axis=1).astype(np.float32)
-
 
 def scene_of(drawn: Sequence[Survey | FieldMap], result: RegistrationResult | None = None) -> RerunScene:
     """Assemble what a recording shows; with a result, its base and its target."""
     surveys = [survey_of(item) for item in drawn]
     names = ["base", "target"] if result is not None else _unique([survey.name for survey in surveys])
-    parts = tuple(Part(name, survey, map_in(item)) for name, survey, item in zip(names, surveys, drawn, strict=True))
-    limits = common_limits(*(draw.magnitude_ut(survey.field) for survey in surveys))
-    origins = tuple(draw.origins_of(*(survey.positions for survey in surveys)))
+    origins = draw.origins_of(*(survey.positions for survey in surveys))
+    parts = tuple(map(Part, names, surveys, map(map_in, drawn), origins))
     T_base_target = None if result is None else shown_pose(result)
     if T_base_target is not None:
-        T_base, T_target = (RigidTransform.from_translation(origin) for origin in origins)
+        T_base, T_target = map(RigidTransform.from_translation, origins)
         T_base_target = T_base.inv() * T_base_target * T_target
-    return RerunScene(parts, origins, T_base_target, result, limits)
+    return RerunScene(parts, T_base_target, result, limits_of(*surveys))
 
 
 def require_rerun() -> ModuleType:
@@ -130,7 +125,7 @@ def write_session_rerun(path: str | Path, session: Session) -> None:
     """Write the largest component of a session for the Rerun viewer: its map, its logs on their way, and closures."""
     logs, graph = session.components[0], session.graph
     shown = scene_of([session.map(0)])
-    (origin,) = shown.origins
+    origin = shown.parts[0].origin
     with _recording(path, shown) as (rr, recording):
         for k in logs:
             before = transform_points(session.logs[k].positions, session.T_map_log(k))
@@ -154,54 +149,55 @@ def _recording(path: str | Path, shown: RerunScene) -> Iterator[tuple[ModuleType
     memory = recording.memory_recording()
     recording.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     recording.log("words", rr.TextDocument("\n\n".join(shown.words)), static=True)
-    for part, origin in shown.placed:
-        _log_part(rr, recording, shown, part, origin)
+    for part in shown.parts:
+        _log_part(rr, recording, part, shown.limits)
     yield rr, recording
     write_whole(path, memory.drain_as_bytes())
 
 
-def _log_part(rr: ModuleType, recording: Any, shown: RerunScene, part: Part, origin: Vector3) -> None:
+def _log_part(rr: ModuleType, recording: Any, part: Part, limits: tuple[float, float]) -> None:
     """Samples, and the map on a cut."""
-    magnitude = draw.magnitude_ut(part.survey.field[part.rows])
+    p, field = part.survey.positions[part.rows], part.survey.field[part.rows]
     samples = rr.Points3D(
-        (part.survey.positions[part.rows] - origin).astype(np.float32),
-        colors=shaded(magnitude, shown.limits).astype(np.uint8),
+        (p - part.origin).astype(np.float32),
+        colors=shaded(draw.magnitude_ut(field), limits),
         radii=rr.Radius.ui_points(POINT_SIZE),
     )
     recording.log(_path(rr, part.name, "samples"), samples, static=True)
     # For the table of the viewer, and for programs that read the recording.
-    bx, by, bz = draw.UT_PER_TESLA * part.survey.field[part.rows].T
-    values = rr.AnyValues(bx_ut=bx, by_ut=by, bz_ut=bz)
-    recording.log(_path(rr, part.name, "samples"), values, static=True)
-    if origin.any():
-        recording.log(_path(rr, part.name), rr.AnyValues(origin_m=origin), static=True)
+    bx, by, bz = draw.UT_PER_TESLA * field.T
+    recording.log(_path(rr, part.name, "samples"), rr.AnyValues(bx_ut=bx, by_ut=by, bz_ut=bz), static=True)
+    if part.origin.any():
+        recording.log(_path(rr, part.name), rr.AnyValues(origin_m=part.origin), static=True)
     if part.field_map is None:
         return
     cut = cut_through(part.survey.positions)
     field, is_known = field_on(cut, part.field_map)
-    colors = shaded(draw.magnitude_ut(field), shown.limits)
     faces = _faces(cut, is_known)
     if len(faces):
         mesh = rr.Mesh3D(
-            vertex_positions=(cut.points - origin).astype(np.float32),
+            vertex_positions=(cut.points - part.origin).astype(np.float32),
             triangle_indices=faces,
-            vertex_colors=colors.astype(np.uint8),
+            vertex_colors=shaded(draw.magnitude_ut(field), limits),
         )
         recording.log(_path(rr, part.name, "cut"), mesh, static=True)
 
 
 def _log_registration(rr: ModuleType, recording: Any, shown: RerunScene) -> None:
     """The target's frame on its way, and the links that shrink with it."""
-    if shown.T_base_target is None:
+    if shown.T_base_target is None or shown.result is None:
         return
+    links, (base, target) = shown.result.links, shown.parts
+    rows = draw.thinned(len(links.base), MAX_LINKS)
+    starts, ends = links.base[rows] - base.origin, links.target[rows] - target.origin
     for step in range(N_STEPS + 1):
         recording.set_time("registration", sequence=step)
         T = shown.pose_of_target(step / N_STEPS)
         pose = rr.Transform3D(translation=T.translation, quaternion=rr.Quaternion(xyzw=T.rotation.as_quat()))
         recording.log("target", pose)
-        links = shown.links(step / N_STEPS)
-        if len(links):
-            recording.log("links", rr.LineStrips3D(links, colors=LINK))
+        if len(rows):
+            strips = np.stack([starts, T.apply(ends)], axis=1).astype(np.float32)
+            recording.log("links", rr.LineStrips3D(strips, colors=LINK))
 
 
 def _faces(cut: Cut, is_known: np.ndarray) -> np.ndarray:
@@ -219,17 +215,12 @@ def _path(rr: ModuleType, *names: str) -> str:
     return str(rr.new_entity_path(list(names)))
 
 
-def shaded(values: Scalars, limits: tuple[float, float]) -> Matrix:
+def shaded(values: Scalars, limits: tuple[float, float]) -> np.ndarray:
     """Colours of numbers: (n, 3), 0 to 255."""
     low, high = limits
     place = np.clip((values - low) / (high - low), 0, 1) * (len(SHADES) - 1)
-    return np.stack([np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T], axis=1)
-
-
-def _described(part: Part) -> str:
-    n, n_drawn = len(part.survey), len(part.rows)
-    drawn = "" if n == n_drawn else f", {n_drawn} drawn"
-    return f"{part.survey.name}, {n} samples{drawn}" + (", with its map" if part.field_map is not None else "")
+    channels = [np.interp(place, np.arange(len(SHADES)), channel) for channel in SHADES.T]
+    return np.stack(channels, axis=1).astype(np.uint8)
 
 
 def _unique(names: list[str]) -> list[str]:

@@ -117,13 +117,10 @@ def overlap_figure(base_map: FieldMap, compared: Comparison) -> draw.Figure:
     )
     outside = _seen(cut, compared.positions[~compared.is_known], "outside", **OUTSIDE_STYLE)
     c, n_inside, n = "xyz"[cut.axes[2]], int(compared.is_known.sum()), len(compared.rows)
-    figure = cut.figure(
+    return cut.figure(
         f"Overlap: {n_inside} of {n} samples<br><sub>shaded: where the base map knows the "
         f"field at {cut.words}; samples seen along {c}</sub>",
         [shade, inside, outside],
-    )
-    return draw.described(
-        figure,
         f"Plan view along {c}: {n_inside} of {n} samples of the target (diamonds) fall where the base map knows the "
         f"field, {n - n_inside} (crosses) outside.",
     )
@@ -150,14 +147,11 @@ def residual_figure(compared: Comparison) -> draw.Figure:
     ]
     outside = {**OUTSIDE_STYLE, "size": 2, "opacity": 0.6}
     traces.append(draw.points3d(compared.positions[~compared.is_known], name="outside the base", marker=outside))
-    figure = draw.new_scene(
+    n_large, n = int(compared.is_large.sum()), int(compared.is_known.sum())
+    return draw.new_scene(
         "Residual at every sample",
         traces,
         "measured minus base map, in standard deviations of both (1 expected on average); base frame",
-    )
-    n_large, n = int(compared.is_large.sum()), int(compared.is_known.sum())
-    return draw.described(
-        figure,
         f"Samples of the target in the base frame, coloured by normalised residual: root mean square "
         f"{compared.rms:.2f}; {n_large} of {n} in the overlap (squares) exceed {LARGEST_ORDINARY:.1f}; "
         "1 in 1000 would by chance.",
@@ -181,14 +175,14 @@ def histogram_figure(compared: Comparison) -> draw.Figure:
     )
     figure = draw.new_plane(
         f"Distribution of the residuals<br><sub>the last bar holds everything above {TOP_RESIDUAL:.0f}</sub>",
-        [bars, line], "normalised residual", "share of samples", is_equal=False,
-    )  # fmt: skip
-    figure.update_layout(bargap=0.05)
-    return draw.described(
-        figure,
+        [bars, line],
+        "normalised residual",
+        "share of samples",
         f"Histogram of normalised residuals: median {np.median(values):.2f}, where "
         f"{np.sqrt(chdtri(3, 0.5) / 3):.2f} is expected if model and noise explain all.",
+        is_equal=False,
     )
+    return figure.update_layout(bargap=0.05)
 
 
 def along_figure(compared: Comparison) -> draw.Figure:

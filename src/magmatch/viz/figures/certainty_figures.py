@@ -24,7 +24,6 @@ from magmatch.viz.figures.slices import cut_through
 
 # Share of the probability inside an ellipsoid that is drawn.
 LEVEL = 0.95
-DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 # How far the farthest sample is drawn to go along a free direction, in the target's extent.
 SWEEP = 0.2
 MAX_ARROWS, MAX_SWEPT = 40, 1500
@@ -102,16 +101,15 @@ def ellipsoid_figure(ellipsoid: Ellipsoid, title: str, unit: str, scale: float, 
     traces: list[Any] = [draw.curves3d(curves, name=f"{LEVEL:.0%} of the probability", line=thin)]
     for k, (half, direction) in enumerate(zip(scale * ellipsoid.half_axes, ellipsoid.directions, strict=True)):
         end = np.asarray(half * direction)[None]
-        line = {"color": draw.TARGET_COLOR, "width": 6, "dash": DASHES[k]}
+        line = {"color": draw.TARGET_COLOR, "width": 6, "dash": draw.DASHES[k]}
         name = f"{half:.3g} {unit} along {direction_words(direction)}"
         traces.append(draw.curves3d(draw.between(-end, end), name=name, line=line))
-    figure = draw.new_scene(title, traces, note, unit=unit)
     halves = ", ".join(f"{scale * h:.3g}" for h in ellipsoid.half_axes)
-    return draw.described(
-        figure,
+    alt = (
         f"{title}: an ellipsoid that holds the truth with {LEVEL:.0%} probability; half axes {halves} {unit}, "
-        f"the longest along {direction_words(ellipsoid.directions[0])}.",
+        f"the longest along {direction_words(ellipsoid.directions[0])}."
     )
+    return draw.new_scene(title, traces, note, alt, unit=unit)
 
 
 def free_figure(
@@ -134,8 +132,8 @@ def free_figure(
         draw.curves3d(draw.between(ways[0][arrows], ways[1][arrows]), name="direction", line=line),
     ]
     title, note = f"Free: {draw.label(free.words)}", "the data fit nearly as well all along the lines"
-    words = f"The target's samples with lines along which they may move and still fit: {free.words}."
-    return draw.described(draw.new_scene(title, traces, note), words)
+    alt = f"The target's samples with lines along which they may move and still fit: {free.words}."
+    return draw.new_scene(title, traces, note, alt)
 
 
 def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) -> draw.Figure:
@@ -147,16 +145,16 @@ def poses_figure(base: Survey, target: Survey, poses: Sequence[RigidTransform]) 
     p_base = base.positions[draw.thinned(len(base), MAX_SWEPT)]
     traces = [draw.flat(cut.along(p_base), marker=dots, name=f"base: {draw.label(base.name)}", hoverinfo="skip")]
     for k, p in enumerate(lain):
-        line = {"color": draw.TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": DASHES[k % len(DASHES)]}
+        line = {"color": draw.TARGET_COLOR, "width": 1.5 if k else 3.5, "dash": draw.DASHES[k % len(draw.DASHES)]}
         outline = _outline(cut.along(p), is_path=has_order(target))
         traces.append(draw.flat(outline, "lines", line=line, name=f"pose {k + 1}", hoverinfo="name"))
         text = {"text": [f"<b>{k + 1}</b>"], "textfont": {"size": 18, "color": draw.INK}}
         traces.append(draw.flat(cut.along(p).mean(axis=0)[None], "text", hoverinfo="skip", showlegend=False, **text))
     a, b, c = ("xyz"[axis] for axis in cut.axes)
     title = f"The target under each pose<br><sub>base frame, seen along {c}; numbers as in the table</sub>"
-    figure, middles = cut.figure(title, traces), [p.mean(axis=0)[list(cut.axes[:2])] for p in lain]
+    middles = [p.mean(axis=0)[list(cut.axes[:2])] for p in lain]
     places = "; ".join(f"{k + 1} around {a} {x:.2f}, {b} {y:.2f} m" for k, (x, y) in enumerate(middles))
-    return draw.described(figure, f"Plan of the base with the outline of the target under each pose: {places}.")
+    return cut.figure(title, traces, f"Plan of the base with the outline of the target under each pose: {places}.")
 
 
 def _outline(p: np.ndarray, *, is_path: bool) -> np.ndarray:

@@ -21,6 +21,7 @@ Figure: TypeAlias = Any
 # other and to the paper. Marker shapes differ as well.
 BASE_COLOR, TARGET_COLOR, LINK_COLOR = "#00365F", "#D55E00", "#57606A"
 BASE_MARKER, TARGET_MARKER = "circle", "diamond"
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 # Lightness rises all along these scales.
 FIELD_SCALE, SPREAD_SCALE = "Viridis", "Cividis"
 INK, QUIET = "#1b1f24", "#d4d9df"
@@ -121,7 +122,7 @@ def flat(p: np.ndarray, mode: str = "markers", **style: Any) -> Any:
 
 
 def described(figure: Figure, words: str) -> Figure:
-    """Give a figure the words that stand for it where it cannot be seen."""
+    """Give a figure the words that stand for it where it cannot be seen; those below take them as `alt`."""
     figure.layout.meta = {**(figure.layout.meta or {}), "alt": words}
     return figure
 
@@ -142,7 +143,7 @@ def coloured_by_field(magnitude: Scalars, limits: tuple[float, float]) -> dict[s
     return colors | {"colorbar": colorbar("uT")}
 
 
-def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> Figure:
+def new_scene(title: str, traces: list[Any], frame: str, alt: str, *, unit: str = "m") -> Figure:
     """Put traces into a 3-D figure with equal scales, about an origin near them that its axes name."""
     points = [np.column_stack([t.x, t.y, t.z]) for t in traces]
     origin = origin_of(*points)
@@ -156,7 +157,7 @@ def new_scene(title: str, traces: list[Any], frame: str, *, unit: str = "m") -> 
         height=480,
         legend={"orientation": "h", "x": 0, "itemsizing": "constant", **AT_THE_FOOT},
     )
-    return figure
+    return described(figure, alt)
 
 
 def _box(p: Points, origin: Vector3, unit: str) -> dict[str, Any]:
@@ -197,21 +198,25 @@ def _camera(aspect: np.ndarray) -> dict[str, Any]:
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
-def bars(title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool]) -> Figure:
+def bars(
+    title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool], alt: str
+) -> Figure:
     """Numbers above 0 as named bars below each other, the first at the top; those that are not filled are hatched."""
     marker = {"color": BASE_COLOR, "pattern": {"shape": ["" if is_filled else "/" for is_filled in filled]}}
     bar = require_plotly().Bar(
         x=values, y=names, text=texts, orientation="h", marker=marker, textposition="outside", cliponaxis=False,
         hoverinfo="skip", showlegend=False,
     )  # fmt: skip
-    figure = new_plane(title, [bar], x_title, "", is_equal=False)
+    figure = new_plane(title, [bar], x_title, "", alt, is_equal=False)
     figure.update_yaxes(autorange="reversed")
     figure.update_xaxes(range=[0, 1.3 * float(values.max())])
     figure.update_layout(height=120 + 36 * len(names))
     return figure
 
 
-def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_equal: bool = True) -> Figure:
+def new_plane(
+    title: str, traces: list[Any], x_title: str, y_title: str, alt: str = "", *, is_equal: bool = True
+) -> Figure:
     """Put traces into a flat figure."""
     figure = require_plotly().Figure(traces)
     figure.update_layout(**_layout(title), height=400, legend={"orientation": "h", "x": 0, **AT_THE_FOOT})
@@ -223,7 +228,7 @@ def new_plane(title: str, traces: list[Any], x_title: str, y_title: str, *, is_e
         figure.update_xaxes(range=x)
         figure.update_yaxes(range=y, scaleanchor="x", scaleratio=1, constrain="domain")
         figure.layout.meta = {"shape": (y[1] - y[0]) / (x[1] - x[0])}
-    return figure
+    return described(figure, alt)
 
 
 def _range(parts: list[np.ndarray]) -> list[float]:

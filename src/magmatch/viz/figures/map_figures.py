@@ -15,6 +15,7 @@ from magmatch.viz.figures.slices import (
     cut_normal_to,
     cut_through,
     field_on,
+    limits_of,
     magnitude_slice,
     slice_figure,
 )
@@ -77,7 +78,7 @@ def _rows(survey: Survey) -> np.ndarray:
 
 def field_figures(field_map: FieldMap) -> list[draw.Figure]:
     """Magnitude on every cut worth drawing, and the three components on the main one."""
-    p, limits = field_map.survey.positions, common_limits(draw.magnitude_ut(field_map.survey.field))
+    p, limits = field_map.survey.positions, limits_of(field_map)
     main = cut_through(p)
     field, is_known = field_on(main, field_map)
     name = draw.label(field_map.survey.name)
@@ -113,14 +114,17 @@ def coverage_figure(coverage: Coverage) -> draw.Figure:
     share = np.linspace(0, 1, len(sd))
     line = {"color": draw.BASE_COLOR, "width": 2.5}
     curve = draw.flat(np.column_stack([sd, share]), "lines", line=line, showlegend=False)
+    half = draw.UT_PER_TESLA * (coverage.quantile(0.5) or 0.0)
     figure = draw.new_plane(
         "Uncertainty over the known part<br><sub>share of the known volume with a smaller standard deviation</sub>",
-        [curve], "standard deviation of a component (uT)", "share", is_equal=False,
-    )  # fmt: skip
+        [curve],
+        "standard deviation of a component (uT)",
+        "share",
+        f"Curve of the share of the known part by standard deviation: half is below {half:.3g} uT.",
+        is_equal=False,
+    )
     figure.update_yaxes(range=[0, 1.02])
-    half = draw.UT_PER_TESLA * (coverage.quantile(0.5) or 0.0)
-    words = f"Curve of the share of the known part by standard deviation: half is below {half:.3g} uT."
-    return draw.described(figure, words)
+    return figure
 
 
 def comparison_figure(errors: dict[str, float], taken: str) -> draw.Figure:
@@ -130,6 +134,6 @@ def comparison_figure(errors: dict[str, float], taken: str) -> draw.Figure:
     texts, is_taken = [f"{v:.3g} uT" for v in values], [name == taken for name in names]
     labels = [f"{name} (chosen)" if name == taken else name for name in names]
     title = "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>"
-    figure = draw.bars(title, values, labels, texts, "error (uT)", is_taken)
     told = ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
-    return draw.described(figure, f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}.")
+    alt = f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}."
+    return draw.bars(title, values, labels, texts, "error (uT)", is_taken, alt)

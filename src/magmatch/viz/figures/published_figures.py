@@ -61,12 +61,11 @@ def linked_keypoints_figure(
             draw.curves3d(draw.between(links.base, links.target + shift), name="links", line=line, opacity=0.4)
         )
     counts = f"{len(base_rows)} and {len(target_rows)} keypoints, {len(links.base)} links"
-    figure = draw.new_scene(
-        "Keypoints and links", traces, f"left: base, right: target, each in its own frame; {counts}"
-    )
+    words = f"left: base, right: target, each in its own frame; {counts}"
+    alt = f"Base (left) and target (right) in space with {counts} between them."
+    figure = draw.new_scene("Keypoints and links", traces, words, alt)
     # From the front, so that the maps lie beside each other rather than behind.
-    figure.update_layout(height=560, scene_camera={"eye": {"x": 0.15, "y": -1.5, "z": 0.9}})
-    return draw.described(figure, f"Base (left) and target (right) in space with {counts} between them.")
+    return figure.update_layout(height=560, scene_camera={"eye": {"x": 0.15, "y": -1.5, "z": 0.9}})
 
 
 def curvature_figure(inferred: Inferred, rows: Indices) -> draw.Figure:
@@ -88,12 +87,10 @@ def curvature_figure(inferred: Inferred, rows: Indices) -> draw.Figure:
     near = rows[np.abs(inferred.positions[rows, normal] - cut.height) < inferred.spacing]
     marks = hollow_marks(cut.along(inferred.positions[near]), "keypoints", "circle")
     marks.marker.size = 5
-    title = (
-        f"Determinant of the Hessian of |B|<br><sub>its cube root; {cut.words}; circles: keypoints within a spacing"
-    )
-    figure = cut.figure(f"{title}</sub>", [image, marks])
-    figure.update_layout(showlegend=False)
-    return draw.described(figure, f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints.")
+    note = f"its cube root; {cut.words}; circles: keypoints within a spacing"
+    alt = f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints."
+    figure = cut.figure(f"Determinant of the Hessian of |B|<br><sub>{note}</sub>", [image, marks], alt)
+    return figure.update_layout(showlegend=False)
 
 
 def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices | None = None) -> draw.Figure:
@@ -119,8 +116,8 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
         traces.append(draw.curves3d(ends, name=f"{axis} axes", line=line, showlegend=False))
     n_frames = f"{len(chosen)} of {len(frames)} frames"
     words = f"{len(some)} of {len(inferred)} points of X* drawn; {n_frames}: x red, y green, z blue"
-    figure = draw.new_scene("Field and local frames", traces, words)
-    return draw.described(figure, f"Arrows of the field in space, coloured by magnitude; {words}.")
+    alt = f"Arrows of the field in space, coloured by magnitude; {words}."
+    return draw.new_scene("Field and local frames", traces, words, alt)
 
 
 def _samples(p: Points, name: str | None) -> Any:

@@ -20,6 +20,7 @@ from magmatch.viz.figures.slices import (
     field_on,
     heatmap,
     hollow_marks,
+    limits_of,
     magnitude_slice,
     slice_figure,
 )
@@ -49,10 +50,8 @@ def links_figure(result: RegistrationResult) -> draw.Figure:
     base = draw.marks3d(links.base, "base", draw.BASE_COLOR, draw.BASE_MARKER, 5)
     target = draw.marks3d(moved, "target", draw.TARGET_COLOR, draw.TARGET_MARKER, 4)
     words = "Corresponding points" if result.is_accepted else "Best candidate, NOT accepted"
-    return draw.described(
-        draw.new_scene(words, [base, target], "frame of the base"),
-        f"{len(moved)} points of base and target in space.",
-    )
+    alt = f"{len(moved)} points of base and target in space."
+    return draw.new_scene(words, [base, target], "frame of the base", alt)
 
 
 def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> list[draw.Figure]:
@@ -61,51 +60,38 @@ def scene_figures(base: Survey, target: Survey, result: RegistrationResult) -> l
     off_base, off_target = draw.origins_of(base.positions, target.positions)
     if np.array_equal(off_base, off_target):
         off_base = off_target = np.zeros(3)  # the scene takes off what all have in common
+    p_base, p_target = base.positions - off_base, target.positions - off_target
+    both = f"Base {base.name} ({len(base)} samples, circles) and target {target.name} ({len(target)}, diamonds)"
     before = draw.new_scene(
         "Before: as recorded",
-        _traces(
-            base,
-            base.positions - off_base,
-            target,
-            target.positions - off_target,
-            links.base - off_base,
-            links.target - off_target,
-        ),
+        _traces(base, p_base, target, p_target, links.base - off_base, links.target - off_target),
         f"each survey in its own frame, overlaid{_taken_off(off_base, off_target)}; {drawn_words(base, target)}",
+        f"{both} in space, each in its own frame, with lines between matching keypoints.",
     )
-    both = f"Base {base.name} ({len(base)} samples, circles) and target {target.name} ({len(target)}, diamonds)"
-    draw.described(before, f"{both} in space, each in its own frame, with lines between matching keypoints.")
     T_base_target = shown_pose(result)
     if T_base_target is None:
         return [before]
     moved = transform_points(links.target, T_base_target)
-    p_base = transform_points(target.positions, T_base_target)
+    p_moved = transform_points(target.positions, T_base_target)
     title = "After: target in the base frame" if result.is_accepted else "Best candidate, NOT accepted"
-    after = draw.new_scene(
-        title, _traces(base, base.positions, target, p_base, links.base, moved), f"frame of {base.name}"
-    )
     apart = np.linalg.norm(links.base - moved, axis=1)
     gap = f"; matching keypoints are {np.median(apart):.3g} m apart in the median" if len(apart) else ""
-    draw.described(after, f"{both} in the frame of the base{gap}.")
-    return [before, after]
+    traces = _traces(base, base.positions, target, p_moved, links.base, moved)
+    return [before, draw.new_scene(title, traces, f"frame of {base.name}", f"{both} in the frame of the base{gap}.")]
 
 
 def slice_figures(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> list[draw.Figure]:
     """Field magnitude of both maps on one cut of the base frame, and how far their vectors differ."""
     T_base_target = shown_pose(result)
-    p_base = base_map.survey.positions
+    p_base = [base_map.survey.positions]
     if T_base_target is not None:
-        p_moved = transform_points(target_map.survey.positions, T_base_target)
-        p_base = np.concatenate([p_base, p_moved])
-    cut = cut_through(p_base)
+        p_base.append(transform_points(target_map.survey.positions, T_base_target))
+    cut = cut_through(np.concatenate(p_base))
     field, is_known = field_on(cut, base_map)
     if T_base_target is None:
-        limits = common_limits(draw.magnitude_ut(base_map.survey.field))
-        return [magnitude_slice("|B| of the base map", cut, field, is_known, limits)]
+        return [magnitude_slice("|B| of the base map", cut, field, is_known, limits_of(base_map))]
     brought, is_known_too = field_on(cut, target_map, T_base_target)
-    # From the samples: between and beyond them a map may swing farther than anything that was measured.
-    limits = common_limits(*(draw.magnitude_ut(m.survey.field) for m in (base_map, target_map)))
-    both = is_known & is_known_too
+    limits, both = limits_of(base_map, target_map), is_known & is_known_too
     apart = draw.UT_PER_TESLA * np.linalg.norm(field - brought, axis=1)
     return [
         magnitude_slice("|B| of the base map", cut, field, is_known, limits),
@@ -122,7 +108,7 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     if not n_links:
         return None
     rows = draw.thinned(n_links, MAX_LINKS_ACROSS)
-    limits = common_limits(*(draw.magnitude_ut(m.survey.field) for m in (base_map, target_map)))
+    limits = limits_of(base_map, target_map)
     cuts = [cut_through(m.survey.positions) for m in (base_map, target_map)]
     ends = [cut.along(p[rows]) for cut, p in zip(cuts, (result.links.base, result.links.target), strict=True)]
     width = max(np.ptp(cuts[0].first), np.ptp(cuts[1].first))
@@ -145,18 +131,16 @@ def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationR
     ]
     planes = f"base cut at {cuts[0].words}, target at {cuts[1].words}, each in its own frame"
     figure = draw.new_plane(
-        f"Matching keypoints<br><sub>left: base, right: target; {planes}; "
-        f"{len(rows)} of {n_links} links drawn</sub>",
-        traces, "", "",
-    )  # fmt: skip
-    figure.update_xaxes(visible=False)
-    figure.update_yaxes(visible=False)
-    figure.update_layout(plot_bgcolor=draw.PAPER)
-    return draw.described(
-        figure,
+        f"Matching keypoints<br><sub>left: base, right: target; {planes}; {len(rows)} of {n_links} links drawn</sub>",
+        traces,
+        "",
+        "",
         f"Slices of the base map (left) and the target map (right), each in its own frame, with {len(rows)} of "
         f"{n_links} lines from keypoints of the base (squares) to those of the target (diamonds).",
     )
+    figure.update_xaxes(visible=False)
+    figure.update_yaxes(visible=False)
+    return figure.update_layout(plot_bgcolor=draw.PAPER)
 
 
 def time_figure(result: RegistrationResult) -> draw.Figure | None:
@@ -167,11 +151,9 @@ def time_figure(result: RegistrationResult) -> draw.Figure | None:
     total = result.seconds.get("total", sum(stages.values()))
     seconds, names = np.array([*stages.values()]), [draw.label(name) for name in stages]
     title, texts = f"Time per stage<br><sub>{total:.2f} s in total</sub>", [f"{s:.2f} s" for s in seconds]
-    figure = draw.bars(title, seconds, names, texts, "time (s)", [True] * len(stages))
     longest = max(stages, key=lambda name: stages[name])
-    return draw.described(
-        figure, f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s."
-    )
+    alt = f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s."
+    return draw.bars(title, seconds, names, texts, "time (s)", [True] * len(stages), alt)
 
 
 def drawn_words(*surveys: Survey) -> str:

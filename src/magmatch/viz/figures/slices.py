@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotate_vectors, transform_points
+from magmatch.registration.maps import survey_of
 from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 from magmatch.viz.figures import draw
 
@@ -39,9 +40,10 @@ class Cut:
         """The two coordinates of points (n, 3) along the plane, as they are drawn: without the origin."""
         return np.asarray(p - self.origin)[:, list(self.axes[:2])]
 
-    def figure(self, title: str, traces: list[Any]) -> draw.Figure:
+    def figure(self, title: str, traces: list[Any], alt: str) -> draw.Figure:
         """Put traces into a figure of the plane."""
-        return draw.new_plane(title, traces, *(draw.axis_title(axis, self.origin) for axis in self.axes[:2]))
+        x_title, y_title = (draw.axis_title(axis, self.origin) for axis in self.axes[:2])
+        return draw.new_plane(title, traces, x_title, y_title, alt)
 
 
 def map_in(drawn: Survey | FieldMap | None) -> FieldMap | None:
@@ -104,16 +106,12 @@ def slice_figure(
     note: str = "",
 ) -> draw.Figure:
     """Draw numbers in uT over a cut, with marks on it that a note explains."""
-    traces = [heatmap(cut, values, is_known, limits, scale), *marks]
-    figure = cut.figure(f"{title}<br><sub>{cut.words}{note}</sub>", traces)
-    figure.update_layout(showlegend=False)
-    known = values[is_known]
+    traces, known = [heatmap(cut, values, is_known, limits, scale), *marks], values[is_known]
     spread = (
         f"from {known.min():.3g} to {known.max():.3g} uT, median {np.median(known):.3g}" if len(known) else "none"
     )
-    return draw.described(
-        figure, f"{title}, cut at {cut.words}: {spread}; {is_known.mean():.0%} of the cut is known."
-    )
+    alt = f"{title}, cut at {cut.words}: {spread}; {is_known.mean():.0%} of the cut is known."
+    return cut.figure(f"{title}<br><sub>{cut.words}{note}</sub>", traces, alt).update_layout(showlegend=False)
 
 
 def magnitude_slice(
@@ -127,6 +125,14 @@ def hollow_marks(p: np.ndarray, name: str, symbol: str) -> Any:
     """Marks at (n, 2) places: white with a dark rim, so that they show on any colour."""
     marker = {"size": 8, "symbol": symbol, "color": draw.PAPER, "line": {"color": draw.INK, "width": 1.5}}
     return draw.flat(p, name=name, marker=marker, hoverinfo="name+x+y")
+
+
+def limits_of(*shown: Survey | FieldMap) -> tuple[float, float]:
+    """One colour range for field magnitudes in uT.
+
+    It is that of the samples: between and beyond them a map may swing farther than anything that was measured.
+    """
+    return common_limits(*(draw.magnitude_ut(survey_of(one).field) for one in shown))
 
 
 def common_limits(*parts: Scalars) -> tuple[float, float]:

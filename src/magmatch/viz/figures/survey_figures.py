@@ -22,12 +22,11 @@ def survey_figure(survey: Survey, left_out: Survey | None = None) -> draw.Figure
         cross = {"symbol": "x", "size": 4, "color": draw.TARGET_COLOR}
         traces.append(draw.points3d(left_out.positions, name="left out", marker=cross, showlegend=True))
     shown = "" if len(rows) == len(survey) else f" ({len(rows)} drawn)"
-    figure = draw.new_scene(
-        f"{draw.label(survey.name)}: {len(survey)} samples{shown}", traces, f"frame '{survey.frame}', metres"
-    )
     extent = " by ".join(f"{side:.3g}" for side in np.ptp(survey.positions, axis=0))
-    return draw.described(
-        figure,
+    return draw.new_scene(
+        f"{draw.label(survey.name)}: {len(survey)} samples{shown}",
+        traces,
+        f"frame '{survey.frame}', metres",
         f"{len(survey)} samples of {survey.name} in space, over {extent} m, coloured by field magnitude: most lie "
         f"between {low:.3g} and {high:.3g} uT.",
     )
@@ -39,23 +38,17 @@ def profile_figure(survey: Survey) -> draw.Figure:
     along = rows if survey.times is None else survey.times[rows] - survey.times[0]
     field = draw.UT_PER_TESLA * survey.field[rows]
     drawn = [*zip(("bx", "by", "bz"), field.T, strict=True), ("|B|", np.linalg.norm(field, axis=1))]
-    styles = (
-        (draw.BASE_COLOR, "solid"),
-        (draw.TARGET_COLOR, "dash"),
-        (draw.LINK_COLOR, "dot"),
-        (draw.INK, "dashdot"),
-    )
+    colors = (draw.BASE_COLOR, draw.TARGET_COLOR, draw.LINK_COLOR, draw.INK)
     traces = [
         draw.flat(np.column_stack([along, values]), "lines", name=name, line={"color": color, "dash": dash})
-        for (name, values), (color, dash) in zip(drawn, styles, strict=True)
+        for (name, values), color, dash in zip(drawn, colors, draw.DASHES[:4], strict=True)
     ]
-    x_title = "sample" if survey.times is None else "time since the first sample (s)"
-    figure = draw.new_plane(
+    spans = ", ".join(f"{name} from {values.min():.3g} to {values.max():.3g}" for name, values in drawn)
+    return draw.new_plane(
         f"{draw.label(survey.name)}: field along the survey",
         traces,
-        x_title,
+        "sample" if survey.times is None else "time since the first sample (s)",
         "field, survey frame (uT)",
+        f"Field of {survey.name} along the survey, uT: {spans}.",
         is_equal=False,
     )
-    spans = ", ".join(f"{name} from {values.min():.3g} to {values.max():.3g}" for name, values in drawn)
-    return draw.described(figure, f"Field of {survey.name} along the survey, uT: {spans}.")

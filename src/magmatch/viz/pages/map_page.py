@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of a map: its surveys, the field, its uncertainty, and how to reproduce it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -113,30 +113,26 @@ def _samples(field_map: FieldMap, out: Sequence[Survey]) -> page.Section:
     figures += [profile_figure(part) for part in field_map.surveys[:3] if has_order(part)]
     blocks = [page.figure_row(figures)]
     if out:
-        blocks.append(page.subheading("Left out"))
-        blocks.append(page.paragraph(_left_out_words(n_out)))
+        words = (
+            f"{n_out} samples contradict their neighbours (a ringing phone, passing metal?) and were not used; "
+            "crosses mark them. The setting leave_out_outliers: false keeps them."
+        )
+        none = "No sample contradicts its neighbours; all were used."
+        blocks += [page.subheading("Left out"), page.paragraph(words if n_out else none)]
     if merged is not None:
         said = field_map.evaluate(merged.positions).field
         apart = np.linalg.norm(merged.field - said, axis=1)
         worst = np.argsort(-apart, kind="stable")[:MAX_LISTED]
-        rows = [
-            [", ".join(f"{v:.3f}" for v in merged.positions[k]), field_text(float(np.linalg.norm(merged.field[k]))),
-             field_text(float(np.linalg.norm(said[k]))), field_text(float(apart[k]))]
-            for k in worst
-        ]  # fmt: skip
-        blocks.append(page.table(rows, ["position (m)", "|B| measured", "|B| of the map", "difference"]))
-        if n_out > len(rows):
-            blocks.append(page.note(f"The {len(rows)} of {n_out} that differ most."))
+        columns: dict[str, Callable[[int], str]] = {
+            "position (m)": lambda k: ", ".join(f"{v:.3f}" for v in merged.positions[k]),
+            "|B| measured": lambda k: field_text(float(np.linalg.norm(merged.field[k]))),
+            "|B| of the map": lambda k: field_text(float(np.linalg.norm(said[k]))),
+            "difference": lambda k: field_text(float(apart[k])),
+        }
+        blocks.append(page.listing(worst, columns))
+        if n_out > len(worst):
+            blocks.append(page.note(f"The {len(worst)} of {n_out} that differ most."))
     return page.Section("Samples", blocks)
-
-
-def _left_out_words(n_out: int) -> str:
-    if not n_out:
-        return "No sample contradicts its neighbours; all were used."
-    return (
-        f"{n_out} samples contradict their neighbours (a ringing phone, passing metal?) and were not used; crosses "
-        "mark them. The setting leave_out_outliers: false keeps them."
-    )
 
 
 def _prior(field_map: FieldMap) -> page.Section:
@@ -146,22 +142,17 @@ def _prior(field_map: FieldMap) -> page.Section:
     blocks = [page.table(rows, ["", "value", "meaning"])]
     errors = field_map.config.comparison
     if errors:
-        best = min(errors.values())
-        compared = [
-            [
-                name,
-                field_text(error),
-                f"{100 * (error / best - 1):+.0f} %",
-                "yes" if name == field_map.config.prior else "",
-            ]
-            for name, error in sorted(errors.items(), key=lambda pair: pair[1])
-        ]
+        best, chosen = min(errors.values()), field_map.config.prior
+        columns: dict[str, Callable[[str], str]] = {
+            "prior": str,
+            "typical error": lambda name: field_text(errors[name]),
+            "relative to the best": lambda name: f"{100 * (errors[name] / best - 1):+.0f} %",
+            "chosen": lambda name: "yes" if name == chosen else "",
+        }
+        compared = page.listing(sorted(errors, key=lambda name: errors[name]), columns)
         blocks += [
             page.subheading("Priors compared on held-out data"),
-            page.columns(
-                [page.table(compared, ["prior", "typical error", "relative to the best", "chosen"])],
-                [page.figure_row([comparison_figure(errors, field_map.config.prior)])],
-            ),
+            page.columns([compared], [page.figure_row([comparison_figure(errors, chosen)])]),
             page.note("The spline is preferred unless another prior is clearly better: held-out errors are noisy."),
         ]
     else:

@@ -9,14 +9,14 @@ import base64
 import gzip
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
@@ -24,6 +24,7 @@ from magmatch.atomic import write_whole
 from magmatch.glossary import terms
 from magmatch.viz.figures.draw import DARK, Figure, require_plotly
 
+T = TypeVar("T")
 # Most closures, anchors or parts of a log that are listed one by one.
 MAX_LISTED = 40
 # Height over width of what a scene shows.
@@ -104,6 +105,16 @@ def table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), *, named: C
     )
     head = f"<thead><tr>{head}</tr></thead>" if head else ""
     return f"<div class='scroll'><table>{head}<tbody>{body}</tbody></table></div>"
+
+
+def listing(things: Iterable[T], columns: Mapping[str, Callable[[T], str]]) -> str:
+    """Lay out things in rows and what is said of each in columns, by their headers; the first column names them."""
+    return table([[said(thing) for said in columns.values()] for thing in things], list(columns))
+
+
+def answer(words: str, steps: Sequence[str], *more: str) -> Section:
+    """The section that stands first: the verdict, what to do next, and further blocks."""
+    return Section("", [words, "<h2 id='next'>What to do next</h2>", bullets(steps), *more])
 
 
 def verdict(text: str, reason: str, answer: str = "", *, is_good: bool) -> str:

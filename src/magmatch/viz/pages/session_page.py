@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of slam or merge: the verdict, each log before and after, and where the graph is weak."""
 
+from collections.abc import Callable
 from math import degrees
 from pathlib import Path
 from typing import Any
@@ -10,29 +11,15 @@ from scipy.special import chdtri
 
 from magmatch.geometry import transform_points
 from magmatch.number_text import told
-from magmatch.slam.result import SlamResult, SlamStatus
+from magmatch.slam.result import AnchorResult, ClosureResult, LogResult, SlamResult
 from magmatch.slam.session import Session
 from magmatch.typing import Points
 from magmatch.viz.figures import draw
-from magmatch.viz.figures.certainty_figures import DASHES, LEVEL
-from magmatch.viz.figures.slices import Cut, common_limits, cut_through, field_on, magnitude_slice
+from magmatch.viz.figures.certainty_figures import LEVEL
+from magmatch.viz.figures.slices import Cut, cut_through, field_on, limits_of, magnitude_slice
 from magmatch.viz.pages import page
+from magmatch.viz.verdict import next_steps
 
-NEXT_STEPS = {
-    SlamStatus.CONNECTED: (
-        "Use it: the .tum files hold the corrected poses, map.map the field, graph.g2o the graph for other programs.",
-        "See below where the graph is weak: walk there again, across known places, to tie it.",
-    ),
-    SlamStatus.PARTLY_CONNECTED: (
-        "Logs of other places belong apart. If they are of one place, let them share some stretches: a few lengths "
-        "over which the field changes, in each log.",
-        "Check units and --field-frame of a log that is tied to none; calibrate raw logs with 'magmatch prepare'.",
-    ),
-    SlamStatus.UNCHANGED: (
-        "Pass some stretches twice. Walking a corridor there and back is enough.",
-        "If places were passed twice, check --field-frame and units, and state the odometry's drift: --odometry-sd.",
-    ),
-}
 # Nodes along a log whose standard deviation is drawn.
 MAX_NODES = 60
 # Ellipses drawn in a picture.
@@ -57,26 +44,16 @@ def write_session_report(path: str | Path, session: Session, result: SlamResult,
 
 def _answer(result: SlamResult) -> page.Section:
     headline = result.status.replace("_", " ").capitalize()
-    rows = [
-        [
-            log.name,
-            str(log.component),
-            f"{log.length:.1f} m",
-            str(log.n_closures),
-            f"{log.moved:.2f} m",
-            f"{log.sd[0]:.2f} m, {degrees(log.sd[1]):.1f} deg",
-        ]
-        for log in result.logs
-    ]
-    return page.Section(
-        "",
-        [
-            page.verdict(headline, result.reason, is_good=result.is_connected),
-            "<h2 id='next'>What to do next</h2>",
-            page.bullets(NEXT_STEPS[result.status]),
-            page.table(rows, ["log", "frame", "path", "closures", "moved (rms)", "end known to"]),
-        ],
-    )
+    logs: dict[str, Callable[[LogResult], str]] = {
+        "log": lambda log: log.name,
+        "frame": lambda log: str(log.component),
+        "path": lambda log: f"{log.length:.1f} m",
+        "closures": lambda log: str(log.n_closures),
+        "moved (rms)": lambda log: f"{log.moved:.2f} m",
+        "end known to": lambda log: f"{log.sd[0]:.2f} m, {degrees(log.sd[1]):.1f} deg",
+    }
+    verdict = page.verdict(headline, result.reason, is_good=result.is_connected)
+    return page.answer(verdict, next_steps(result.status), page.listing(result.logs, logs))
 
 
 def session_figures(session: Session, component: int) -> list[draw.Figure]:
@@ -86,11 +63,9 @@ def session_figures(session: Session, component: int) -> list[draw.Figure]:
     before = [transform_points(session.given[k].positions, session.T_map_log(k)) for k in logs]
     field_map = session.map(component)
     cut = cut_through(np.concatenate(after))
-    limits = common_limits(draw.magnitude_ut(field_map.survey.field))
+    limits = limits_of(field_map)
     marks = [_line(cut, p, session.names[k], n) for n, (k, p) in enumerate(zip(logs, after, strict=True))]
-    marks += _drawn_closures(session, cut, set(logs))
-    marks += _ellipses(session, cut, logs)
-    marks += _fixed_points(session, cut, logs)
+    marks += _drawn_closures(session, cut, logs) + _ellipses(session, cut, logs) + _fixed_points(session, cut, logs)
     mapped = magnitude_slice(
         "After: |B| of the map",
         cut,
@@ -103,11 +78,11 @@ def session_figures(session: Session, component: int) -> list[draw.Figure]:
 
 
 def _line(cut: Cut, p: Points, name: str, n: int) -> Any:
-    style = {"color": draw.INK, "width": 1.2, "dash": DASHES[n % len(DASHES)]}
+    style = {"color": draw.INK, "width": 1.2, "dash": draw.DASHES[n % len(draw.DASHES)]}
     return draw.flat(cut.along(p[draw.thinned(len(p))]), "lines", line=style, name=draw.label(name), hoverinfo="name")
 
 
-def _drawn_closures(session: Session, cut: Cut, logs: set[int]) -> list[Any]:
+def _drawn_closures(session: Session, cut: Cut, logs: list[int]) -> list[Any]:
     """Lines between the nodes that closures tie."""
     graph, found = session.graph, []
     for kept, color, dash in ((True, draw.TARGET_COLOR, "solid"), (False, draw.LINK_COLOR, "dash")):
@@ -163,9 +138,9 @@ def _before(
         marker = {"size": 4, "showscale": k == logs[0]} | colors
         traces.append(draw.flat(cut.along(p[rows]), marker=marker, name=draw.label(session.names[k])))
     as_given = "as surveyed" if session.is_rigid else "as odometry has them"
-    figure = cut.figure(f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>", traces)
-    figure.update_layout(showlegend=False)
-    return draw.described(figure, f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude.")
+    title = f"Before: |B| along the paths<br><sub>{as_given}, first poses held</sub>"
+    alt = f"Paths of {len(logs)} logs {as_given}, coloured by the field's magnitude."
+    return cut.figure(title, traces, alt).update_layout(showlegend=False)
 
 
 def weakness_figure(session: Session) -> draw.Figure:
@@ -176,58 +151,48 @@ def weakness_figure(session: Session) -> draw.Figure:
         sd = np.array([place for place, _ in session.standard_deviations(nodes)])
         walked = path.walked[path.middles[nodes - path.first_node]]
         worst = max(worst, float(sd.max()))
-        line = {
-            "color": (draw.BASE_COLOR, draw.TARGET_COLOR)[k % 2],
-            "width": 2,
-            "dash": DASHES[k // 2 % len(DASHES)],
-        }
-        name, marker = draw.label(session.names[k]), {"size": 5}
-        traces.append(draw.flat(np.column_stack([walked, sd]), "lines+markers", line=line, marker=marker, name=name))
+        color, dash = (draw.BASE_COLOR, draw.TARGET_COLOR)[k % 2], draw.DASHES[k // 2 % len(draw.DASHES)]
+        style = {"line": {"color": color, "width": 2, "dash": dash}, "marker": {"size": 5}}
+        shown = np.column_stack([walked, sd])
+        traces.append(draw.flat(shown, "lines+markers", name=draw.label(session.names[k]), **style))
     figure = draw.new_plane(
         "Where the graph is weak<br><sub>standard deviation of the place against the frame's first node</sub>",
-        traces, "path walked (m)", "m", is_equal=False,
-    )  # fmt: skip
-    figure.update_yaxes(rangemode="tozero")
-    return draw.described(figure, f"Standard deviation of the place along each log, at most {worst:.2f} m.")
+        traces,
+        "path walked (m)",
+        "m",
+        f"Standard deviation of the place along each log, at most {worst:.2f} m.",
+        is_equal=False,
+    )
+    return figure.update_yaxes(rangemode="tozero")
 
 
 def _closures(result: SlamResult) -> page.Section:
     """Table of the closures, the least certain first."""
+    columns: dict[str, Callable[[ClosureResult], str]] = {
+        "at": lambda c: f"{c.log_a}, {c.walked_a:.1f} m",
+        "and at": lambda c: f"{c.log_b}, {c.walked_b:.1f} m",
+        "probability": lambda c: f"{c.probability:.6f}",
+        "weight in the graph": lambda c: f"{c.weight:.4f}" if c.weight else "rejected",
+    }
     listed = sorted(result.closures, key=lambda c: (c.weight, c.probability))[: page.MAX_LISTED]
-    rows = [
-        [
-            f"{c.log_a}, {c.walked_a:.1f} m",
-            f"{c.log_b}, {c.walked_b:.1f} m",
-            f"{c.probability:.6f}",
-            f"{c.weight:.4f}" if c.weight else "rejected",
-        ]
-        for c in listed
-    ]
     words = f"{len(listed)} of {len(result.closures)}, the least sure first."
-    return page.Section(
-        "Closures", [page.note(words), page.table(rows, ["at", "and at", "probability", "weight in the graph"])]
-    )
+    return page.Section("Closures", [page.note(words), page.listing(listed, columns)])
 
 
 def _anchors(result: SlamResult) -> page.Section:
     """Farthest from where they should be first, in standard deviations."""
-    off = [float(np.linalg.norm(a.off)) for a in result.anchors]
-    order = sorted(range(len(off)), key=lambda k: -off[k] / result.anchors[k].sd)[: page.MAX_LISTED]
     tested = result.tested_anchors()
-    rows = [
-        [
-            point.log,
-            f"{told(point.t)} s",
-            f"{off[k]:.3f} m",
-            f"{point.sd:g} m",
-            f"{np.linalg.norm(point.off_without):.3f} m" if point in tested else "not known",
-            f"{point.sd_without:.2g} m" if point in tested else "",
-        ]
-        for k, point in ((k, result.anchors[k]) for k in order)
-    ]
+    columns: dict[str, Callable[[AnchorResult], str]] = {
+        "log": lambda a: a.log,
+        "at": lambda a: f"{told(a.t)} s",
+        "off by": lambda a: f"{np.linalg.norm(a.off):.3f} m",
+        "stated sd": lambda a: f"{a.sd:g} m",
+        "left out: off by": lambda a: f"{np.linalg.norm(a.off_without):.3f} m" if a in tested else "not known",
+        "known there to": lambda a: f"{a.sd_without:.2g} m" if a in tested else "",
+    }
+    listed = sorted(result.anchors, key=lambda a: -np.linalg.norm(a.off) / a.sd)[: page.MAX_LISTED]
     words = (
         "Largest residual first. A residual far above its standard deviation means a wrong coordinate, time or log. "
         "The path is fitted to these points: how good it is elsewhere shows where a point is left out."
     )
-    columns = ["log", "at", "off by", "stated sd", "left out: off by", "known there to"]
-    return page.Section("Fixed points", [page.note(words), page.table(rows, columns)])
+    return page.Section("Fixed points", [page.note(words), page.listing(listed, columns)])

@@ -1,54 +1,38 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of `localize`: the verdict, the path over the map, and where it was lost and why."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from magmatch.geometry import path_walked
-from magmatch.localization.result import LocalizationResult, LocalizationStatus
+from magmatch.localization.result import LocalizationResult, LocalizationStatus, Segment
 from magmatch.localization.track import Track
 from magmatch.viz.figures import draw
-from magmatch.viz.figures.slices import common_limits, cut_through, field_on, magnitude_slice
+from magmatch.viz.figures.slices import cut_through, field_on, limits_of, magnitude_slice
 from magmatch.viz.pages import page
-
-# Where the place is known at the end and the pose is not, nothing was lost.
-UNCERTAIN = (
-    "The place is known to the end, the pose not as well as asked for: see the standard deviations below.",
-    "Turn and walk on, or along other lines: a field that varies along the path in all directions fixes the pose.",
-    "If so much uncertainty will do, state it: --max-sd METRES,DEGREES.",
-)
-NEXT_STEPS = {
-    LocalizationStatus.LOCALIZED: ("Use it: the TUM file holds the stated poses, in the map's frame.",),
-    LocalizationStatus.LOST: (
-        "See below where it was lost: either the body left the map, or the place has changed. Map it again there.",
-        "Keep moving: a few correlation lengths of the field are enough to be found again.",
-    ),
-    LocalizationStatus.NEVER: (
-        "Check units and --field-frame, and that map and log are of one place; calibrate raw logs with "
-        "'magmatch prepare'.",
-        "z is taken to point up in both: say --no-gravity if it does not.",
-        "Walk farther, with turns; state how far the odometry drifts (--odometry-sd), and use --planar on one floor.",
-    ),
-}
+from magmatch.viz.verdict import next_steps
 
 
 def write_track_report(path: str | Path, track: Track, result: LocalizationResult) -> None:
     """Write one HTML page about a log in a map; it works offline and on a phone."""
-    answer = [verdict_on(result), "<h2 id='next'>What to do next</h2>", page.bullets(next_steps(result))]
-    sections = [page.Section("", answer)]
+    sections = [page.answer(verdict_on(result), steps_after(result))]
     sections += [
         page.Section(f"In {m.survey.name}", [page.figure_row([path_figure(track, k)])])
         for k, m in enumerate(track.maps)
     ]
+    columns: dict[str, Callable[[Segment], str]] = {
+        "from (s)": lambda s: f"{s.t0:.2f}",
+        "for": lambda s: f"{s.t1 - s.t0:.1f} s",
+        "phase": lambda s: s.phase,
+        "map": lambda s: s.map or "",
+        "why": lambda s: s.why,
+    }
     longest = sorted(result.segments, key=lambda s: s.t0 - s.t1)[: page.MAX_LISTED]
-    rows = [
-        [f"{s.t0:.2f}", f"{s.t1 - s.t0:.1f} s", s.phase, s.map or "", s.why]
-        for s in sorted(longest, key=lambda s: s.t0)
-    ]
-    columns = ["from (s)", "for", "phase", "map", "why"]
+    parts = page.listing(sorted(longest, key=lambda s: s.t0), columns)
     figures = [status_figure(track), *([sd_figure(result)] if result.sd else [])]
-    sections.append(page.Section("Along the log", [page.figure_row(figures), page.table(rows, columns)]))
+    sections.append(page.Section("Along the log", [page.figure_row(figures), parts]))
     sections.append(page.again("Run it again", "", None, result.config))
     page.write_page(path, f"magmatch: {track.log.name}", sections)
 
@@ -62,9 +46,9 @@ def verdict_on(result: LocalizationResult) -> str:
     return page.verdict(f"{ended}{share}", result.reason, is_good=result.status is LocalizationStatus.LOCALIZED)
 
 
-def next_steps(result: LocalizationResult) -> tuple[str, ...]:
-    """Say what to do, given how the log ended."""
-    return UNCERTAIN if result.is_place_known else NEXT_STEPS[result.status]
+def steps_after(result: LocalizationResult) -> list[str]:
+    """What the user can do; where the place is known at the end and the pose is not, nothing was lost."""
+    return next_steps("uncertain" if result.is_place_known else result.status)
 
 
 def path_figure(track: Track, k: int) -> draw.Figure:
@@ -83,10 +67,8 @@ def path_figure(track: Track, k: int) -> draw.Figure:
         | {"len": 0.6, "x": 0.3, "yref": "paper", "y": 1.0, "thickness": 8, "nticks": 3, "tickangle": 0},
     }
     path = draw.flat(cut.along(points), marker=marker, name="path")
-    limits = common_limits(draw.magnitude_ut(field_map.survey.field))
-    return magnitude_slice(
-        "|B| of the map", cut, *field_on(cut, field_map), limits, [path], "; points: stated poses, coloured by sd"
-    )
+    note = "; points: stated poses, coloured by sd"
+    return magnitude_slice("|B| of the map", cut, *field_on(cut, field_map), limits_of(field_map), [path], note)
 
 
 def _name(track: Track, k: int) -> str:
@@ -101,18 +83,16 @@ def status_figure(track: Track) -> draw.Figure:
     for phase in dict.fromkeys(e.phase for e in track.estimates):
         rows = np.array([e.phase == phase for e in track.estimates])
         traces.append(draw.flat(shown[rows], marker={"size": 4}, name=phase))
-    figure = draw.new_plane("How sure the place was", traces, "path walked (m)", "probability", is_equal=False)
-    figure.update_yaxes(range=[0, 1.02])
-    return draw.described(
-        figure, f"Probability that the best place is right; a pose for {track.is_stated.mean():.0%} of the samples."
-    )
+    alt = f"Probability that the best place is right; a pose for {track.is_stated.mean():.0%} of the samples."
+    title = "How sure the place was"
+    figure = draw.new_plane(title, traces, "path walked (m)", "probability", alt, is_equal=False)
+    return figure.update_yaxes(range=[0, 1.02])
 
 
 def sd_figure(result: LocalizationResult) -> draw.Figure:
     """How accurate the stated poses are, along the log."""
     t, shift, _ = np.array(result.sd).reshape(-1, 3).T
     trace = draw.flat(np.column_stack([t, shift]), marker={"size": 4}, name="sd")
-    figure = draw.new_plane(
-        "How accurate the pose was", [trace], "t (s)", "sd in the worst direction (m)", is_equal=False
-    )
-    return draw.described(figure, f"Standard deviation of the stated poses over time: {result.share_in_words}.")
+    title, y_title = "How accurate the pose was", "sd in the worst direction (m)"
+    alt = f"Standard deviation of the stated poses over time: {result.share_in_words}."
+    return draw.new_plane(title, [trace], "t (s)", y_title, alt, is_equal=False)
