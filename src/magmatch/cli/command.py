@@ -2,9 +2,12 @@
 """All subcommands share this: examples in their help, common switches, and options for reading surveys."""
 
 import inspect
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
+from itertools import product
+from pathlib import Path
 from typing import Annotated, Any, cast, get_type_hints
 
 import typer
@@ -21,20 +24,19 @@ class Layouts:
 
     given: dict[tuple[str, str], Any]
 
-    def words(self) -> list[str]:
-        """The options as they would be typed."""
-        words = []
+    def again(self, command: str, files: Sequence[Path], *more: object) -> str:
+        """The line with which a command reads its files in the same way again."""
+        words = ["magmatch", command, *files]
         for (of, name), value in self.given.items():
             flag = flag_of(of, name)
-            words += ([flag] if value else []) if isinstance(value, bool) else [flag, str(value)]
-        return words
+            words += ([flag] if value else []) if isinstance(value, bool) else [flag, value]
+        return shlex.join(map(str, [*words, *more]))
 
     def of(self, survey: str = "") -> SurveyFormat:
         """Format of one survey: its own options, else those for all surveys, else the defaults."""
-        general = {name: value for (of, name), value in self.given.items() if of == ""}
-        own = {name: value for (of, name), value in self.given.items() if of == survey}
+        chosen = {name: value for side in ("", survey) for (of, name), value in self.given.items() if of == side}
         try:
-            return SurveyFormat.model_validate(general | own)
+            return SurveyFormat.model_validate(chosen)
         except ValidationError as error:
             place, words = first_fault(error)
             msg = f"--{place.replace('_', '-')}: {words}"
@@ -56,28 +58,30 @@ def command(
     extra = {} if surveys is None else _layout_parameters(("", *surveys), reads)
 
     def decorate(function: Callable[..., int | None]) -> Callable[[typer.Typer], None]:
-        hints = get_type_hints(function, include_extras=True)
-        hints.pop("layouts", None)
-
         @wraps(function)
         def call(**values: Any) -> int | None:
-            values = {key: value for key, value in values.items() if key not in COMMON}
             if surveys is not None:
-                found = {place: values.pop(key) for key, (place, _) in extra.items()}
-                values["layouts"] = Layouts({place: value for place, value in found.items() if value is not None})
-            return function(**values)
+                given = {place: values.pop(key) for key, (place, _) in extra.items()}
+                values["layouts"] = Layouts({place: value for place, value in given.items() if value is not None})
+            return function(**{key: value for key, value in values.items() if key not in COMMON})
 
-        annotations = hints | {key: annotation for key, (_, annotation) in extra.items()} | COMMON
-        own = [p for p in inspect.signature(function).parameters.values() if p.name != "layouts"]
-        defaults = [_keyword(key, annotations[key], None) for key in extra]
-        defaults += [_keyword(key, annotation, False) for key, annotation in COMMON.items()]
-        as_keywords = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in own]
-        call.__signature__ = inspect.Signature(as_keywords + defaults)  # type: ignore[attr-defined]
-        call.__annotations__ = annotations
-        help_text = inspect.cleandoc(function.__doc__ or "")
+        # Typer reads the options of a command from the signature of its function.
+        hints = get_type_hints(function, include_extras=True)
+        shown = {p.name: (hints[p.name], p.default) for p in inspect.signature(function).parameters.values()}
+        shown |= {key: (annotation, None) for key, (_, annotation) in extra.items()}
+        shown |= {key: (annotation, False) for key, annotation in COMMON.items()}
+        shown.pop("layouts", None)
+        call.__annotations__ = {key: annotation for key, (annotation, _) in shown.items()}
+        call.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [
+                inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+                for key, (annotation, default) in shown.items()
+            ]
+        )
+        text = inspect.cleandoc(function.__doc__ or "")
 
         def add_to(app: typer.Typer) -> None:
-            app.command(name, epilog=epilog, help=help_text, no_args_is_help=False)(call)
+            app.command(name, epilog=epilog, help=text, no_args_is_help=False)(call)
 
         return add_to
 
@@ -102,10 +106,11 @@ def _note_debug(ctx: typer.Context, value: bool) -> None:
 Verbose = Annotated[bool, typer.Option("--verbose", help="Report each step on stderr.", callback=_note_verbose)]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.", callback=_note_debug)]
 COMMON: dict[str, Any] = {"verbose": Verbose, "debug": Debug}
-
-
-def _keyword(name: str, annotation: Any, default: Any) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+# Options that several commands have alike.
+JSON = typer.Option(False, "--json", help="Print the result as JSON on stdout.")
+PLANAR = typer.Option(False, "--planar", help="All poses lie on one floor. Detected if the poses show it.")
+RERUN = typer.Option(None, help="Write a recording for the Rerun viewer here (.rrd).")
+SEED = typer.Option(0, help="Same input, settings and seed give the same answer.", min=0)
 
 
 def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tuple[str, str], Any]]:
@@ -114,17 +119,13 @@ def _layout_parameters(surveys: Sequence[str], reads: str) -> dict[str, tuple[tu
     Those of one survey are understood but not listed: they would say everything twice.
     """
     parameters: dict[str, tuple[tuple[str, str], Any]] = {}
-    for survey in surveys:
-        prefix = f"{survey}_" if survey else ""
-        for name, field in SurveyFormat.model_fields.items():
-            flag = flag_of(survey, name)
-            what = str(field.description)
-            # A placeholder keeps its capitals.
-            first = what[0] if what[1:2].isupper() else what[0].lower()
-            words = f"{reads}: {first}{what[1:]}"
-            option = typer.Option(flag, help=words, show_default=False, hidden=bool(survey))
-            kind: Any = field.annotation
-            parameters[prefix + name] = ((survey, name), Annotated[kind | None, option])
+    for survey, (name, field) in product(surveys, SurveyFormat.model_fields.items()):
+        what, kind = str(field.description), cast("Any", field.annotation)
+        # A placeholder keeps its capitals.
+        first = what[0] if what[1:2].isupper() else what[0].lower()
+        flag, words = flag_of(survey, name), f"{reads}: {first}{what[1:]}"
+        option = typer.Option(flag, help=words, show_default=False, hidden=bool(survey))
+        parameters[flag.strip("-").replace("-", "_")] = ((survey, name), Annotated[kind | None, option])
     return parameters
 
 

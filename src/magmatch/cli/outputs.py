@@ -6,10 +6,15 @@ import tempfile
 from collections.abc import Iterable
 from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from magmatch.atomic import real_path
+from magmatch.cli.boundary import DONE, NOT_ACCEPTED
+from magmatch.cli.narration import put, say
 from magmatch.errors import ConfigurationError, DataFormatError
+
+if TYPE_CHECKING:
+    from magmatch.data.document import TypedDocument
 
 
 def check_outputs(
@@ -58,6 +63,14 @@ def free_name(stem: str, suffix: str) -> Path:
     """Name in this folder for what the user did not name: with a number behind it where there is such a file."""
     numbered = (f"{stem}-{n}{suffix}" for n in count(2))
     return next(path for path in map(Path, chain([stem + suffix], numbered)) if not path.exists())
+
+
+def answer(result: "TypedDocument", words: str, *, is_good: bool, json: bool) -> int:
+    """Print a result, as JSON too where asked for; gives the exit code."""
+    if json:
+        put(as_json(result.to_dict()))
+    say(words)
+    return DONE if is_good else NOT_ACCEPTED
 
 
 def as_json(content: dict[str, Any]) -> str:

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`slam` and `merge` end alike: they write the folder, print a summary, and give the exit code."""
 
-import shlex
 from collections.abc import Sequence
 from math import degrees, hypot, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magmatch.cli.boundary import DONE, NOT_ACCEPTED
-from magmatch.cli.narration import put, say
-from magmatch.cli.outputs import as_json
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import answer
 from magmatch.number_text import told
 
 if TYPE_CHECKING:
@@ -21,19 +19,17 @@ if TYPE_CHECKING:
 def deliver(
     session: "Session",
     out: Path,
-    words: Sequence[str],
+    again: str,
     poses: "Sequence[Trajectory | None]",
     *,
     json: bool,
     rerun: Path | None = None,
 ) -> int:
-    """Write the folder, print a summary, and give the exit code: whether all logs are in one frame."""
+    """Write the folder, whose report says the command `again`; the exit code is whether all logs are in one frame."""
     from magmatch.data.geodesy import Origin
     from magmatch.errors import MissingExtraError
     from magmatch.slam.output.folder import REPORT, write_folder
     from magmatch.viz.pages.session_page import write_session_report
-
-    again = shlex.join(["magmatch", *words, "--config", "settings.yaml", "--out", str(out)])
 
     def write_report(session: "Session", result: "SlamResult", path: Path) -> None:
         try:
@@ -46,15 +42,11 @@ def deliver(
         from magmatch.viz.rerun_recording import write_session_rerun
 
         write_session_rerun(rerun, session)
-    if json:
-        put(as_json(result.to_dict()))
-    if session.graph.config.is_planar:
-        say("Taken as planar: all poses at one height")
+    said = ["Taken as planar: all poses at one height"] if session.graph.config.is_planar else []
     if (origin := getattr(session.config, "origin", None)) is not None:
-        say(f"x and y: metres east and north of {Origin(*origin)}")
-    say(tell(result))
-    say(f"Wrote {out}")
-    return DONE if result.is_connected else NOT_ACCEPTED
+        said.append(f"x and y: metres east and north of {Origin(*origin)}")
+    words = "\n".join([*said, tell(result), f"Wrote {out}"])
+    return answer(result, words, is_good=result.is_connected, json=json)
 
 
 def tell(result: "SlamResult") -> str:

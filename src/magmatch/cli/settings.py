@@ -43,7 +43,7 @@ def registration_config(preset: str, path: Path | None, sensor: str = "auto") ->
     if config.search == "keypoints" and sensor != "none":
         msg = f"--sensor {sensor}: these settings do not refine the pose, so none is estimated; use auto or none"
         raise ConfigurationError(msg)
-    return type(config).model_validate(over(config.model_dump(), {"refinement": {"sensor": {"mode": sensor}}}))
+    return _changed(config, "refinement", {"sensor": {"mode": sensor}})
 
 
 def merged(config: Config, path: Path | None, part: str = "") -> Config:
@@ -72,24 +72,24 @@ def with_limits(config: Decided, min_probability: float | None, max_sd: str | No
         said["min_probability"] = min_probability
     if max_sd is not None:
         said["max_sd_translation"], said["max_sd_rotation"] = _spread("--max-sd", max_sd, "0.1,2")
-    if not said:
-        return config
-    if getattr(config, "search", None) == "keypoints":
+    if said and getattr(config, "search", None) == "keypoints":
         msg = "--min-probability and --max-sd: the published method decides by its fitness and uses neither"
         raise ConfigurationError(msg)
-    return type(config).model_validate(config.model_dump() | {"decision": config.decision.model_dump() | said})
+    return _changed(config, "decision", said)
 
 
 def with_prior(
     config: "RegistrationConfig",
-    pose: str | None,
-    pose_sd: str | None,
+    *,
     is_aligned: bool,
-    gravity_sd: float | None,
     is_planar: bool,
+    gravity_sd: float | None = None,
+    pose: str | None = None,
+    pose_sd: str | None = None,
 ) -> "RegistrationConfig":
     """Put the pose prior into the settings."""
-    said: dict[str, Any] = {}
+    flags = {"is_gravity_aligned": is_aligned, "is_planar": is_planar}
+    said: dict[str, Any] = {name: True for name, is_said in flags.items() if is_said}
     if pose is not None:
         said["pose"] = _prior_pose(pose)
     if pose_sd is not None:
@@ -97,15 +97,17 @@ def with_prior(
             msg = "--prior-pose-sd: there is no rough pose; give --prior-pose too"
             raise ConfigurationError(msg)
         said["sd_translation"], said["sd_rotation"] = _spread("--prior-pose-sd", pose_sd, "1,10")
-    known = is_aligned or is_planar or config.prior.is_gravity_aligned or config.prior.is_planar
-    if gravity_sd is not None and not known:
-        msg = "--gravity-sd: give --gravity-aligned or --planar too"
-        raise ConfigurationError(msg)
-    said |= {name: True for name, yes in (("is_gravity_aligned", is_aligned), ("is_planar", is_planar)) if yes}
-    said |= {} if gravity_sd is None else {"gravity_sd": radians(gravity_sd)}
-    if not said:
-        return config
-    return type(config).model_validate(config.model_dump() | {"prior": config.prior.model_dump() | said})
+    if gravity_sd is not None:
+        if not (is_aligned or is_planar or config.prior.is_gravity_aligned or config.prior.is_planar):
+            msg = "--gravity-sd: give --gravity-aligned or --planar too"
+            raise ConfigurationError(msg)
+        said["gravity_sd"] = radians(gravity_sd)
+    return _changed(config, "prior", said)
+
+
+def _changed(config: Config, part: str, said: dict[str, Any]) -> Config:
+    """Settings of which one part is as said; unsaid, they stay."""
+    return type(config).model_validate(over(config.model_dump(), {part: said})) if said else config
 
 
 def _prior_pose(text: str) -> tuple[float, ...]:

@@ -3,12 +3,11 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
-from magmatch.cli.inputs import read_map, read_result
+from magmatch.cli.inputs import read_map, read_result, read_samples
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, one_of, refuse
 from magmatch.cli.outputs import check_outputs
@@ -30,25 +29,25 @@ RESULTS = (".tum", ".g2o", ".yaml")
 
 @command("convert", EXAMPLES, surveys=(), reads="INPUT")
 def convert(
-    source: Annotated[Path, typer.Argument(help="Survey, log, trajectory, saved map or result.", metavar="INPUT")],
-    out: Annotated[
-        Path,
-        typer.Argument(
-            help="The suffix chooses the format. Survey: .csv .parquet .mcap .tum .ply .vtk; map: .vtk .ply .nc, or "
-            "as a survey its samples; result: .tum .g2o .yaml; trajectory: .tum.",
-            metavar="OUTPUT",
-        ),
-    ],
     layouts: Layouts,
-    spacing: Annotated[float | None, typer.Option(help="Grid spacing for a map, metres.", min=1e-6)] = None,
-    cut: Annotated[str | None, typer.Option("--slice", help="One slice of a map, such as z=1.0 (metres).")] = None,
-    frames: Annotated[str, typer.Option(help="Names of base and target in a static transform.")] = "base,target",
-    g2o_rotation: Annotated[
-        str, typer.Option(help="Convention of a g2o edge's rotation information: quaternion (g2o) or angle (GTSAM).")
-    ] = "quaternion",
+    source: Path = Argument(..., help="Survey, log, trajectory, saved map or result.", metavar="INPUT"),
+    out: Path = Argument(
+        ...,
+        help="The suffix chooses the format. Survey: .csv .parquet .mcap .tum .ply .vtk; map: .vtk .ply .nc, or "
+        "as a survey its samples; result: .tum .g2o .yaml; trajectory: .tum.",
+        metavar="OUTPUT",
+    ),
+    spacing: float | None = Option(None, help="Grid spacing for a map, metres.", min=1e-6),
+    cut: str | None = Option(None, "--slice", help="One slice of a map, such as z=1.0 (metres)."),
+    frames: str = Option("base,target", help="Names of base and target in a static transform."),
+    g2o_rotation: str = Option(
+        "quaternion", help="Convention of a g2o edge's rotation information: quaternion (g2o) or angle (GTSAM)."
+    ),
 ) -> None:
     """Write INPUT in another format, chosen by the suffix of OUTPUT."""
+    from magmatch.data.formats.load_trajectory import load_trajectory
     from magmatch.data.formats.sniff import sniff
+    from magmatch.data.write import SURVEY_WRITERS
 
     check_outputs((out,), inputs=(source,))
     kind, suffix = sniff(source), out.suffix.lower()
@@ -57,22 +56,13 @@ def convert(
     elif kind == "map" and suffix in MAP_GRIDS:
         _write_grid(source, out, suffix, spacing, cut)
     elif kind in {"tum", "euroc"} and suffix == ".tum":
-        from magmatch.data.formats.load_trajectory import load_trajectory
-
         layout = layouts.of()
         load_trajectory(source, layout, layout.time_unit).save(out)
+    elif suffix in SURVEY_WRITERS:
+        SURVEY_WRITERS[suffix](read_samples(source, layouts), out)
     else:
-        _write_survey(source, out, suffix, layouts, () if kind != "map" else MAP_GRIDS)
+        raise _unknown_ending(out, dict.fromkeys((*SURVEY_WRITERS, *(MAP_GRIDS if kind == "map" else ()))))
     say(f"Wrote {out}")
-
-
-def _write_survey(source: Path, out: Path, suffix: str, layouts: Layouts, others: tuple[str, ...]) -> None:
-    from magmatch.cli.inputs import read_samples
-    from magmatch.data.write import SURVEY_WRITERS
-
-    if suffix not in SURVEY_WRITERS:
-        raise _unknown_ending(out, dict.fromkeys((*SURVEY_WRITERS, *others)))
-    SURVEY_WRITERS[suffix](read_samples(source, layouts), out)
 
 
 def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut: str | None) -> None:
@@ -90,12 +80,7 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
 
 
 def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:
-    from magmatch.registration.to_other_programs import (
-        vertices_of,
-        write_g2o,
-        write_relative_tum,
-        write_static_transform,
-    )
+    from magmatch.registration import to_other_programs as other
 
     names = [name.strip() for name in frames.split(",")]
     if len(names) != 2 or not all(names):
@@ -106,14 +91,14 @@ def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotatio
     result = read_result(source)
     try:
         if suffix == ".tum":
-            write_relative_tum(result, out)
+            other.write_relative_tum(result, out)
         elif suffix == ".g2o":
-            write_g2o(result, out, "quaternion" if g2o_rotation == "quaternion" else "angle")
-            for k, (side, at) in enumerate(zip(("base", "target"), vertices_of(result), strict=True)):
+            other.write_g2o(result, out, "quaternion" if g2o_rotation == "quaternion" else "angle")
+            for k, (side, at) in enumerate(zip(("base", "target"), other.vertices_of(result), strict=True)):
                 if at.any():
                     say(f"Vertex {k} stands at {', '.join(told(v) for v in at)} m of the {side}, near its samples")
         else:
-            write_static_transform(result, out, names[0], names[1])
+            other.write_static_transform(result, out, *names)
     except SurveyError as error:
         raise DataFormatError(source, str(error)) from None
 

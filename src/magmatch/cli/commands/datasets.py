@@ -2,9 +2,8 @@
 """``magmatch datasets``: public recordings, checksum-verified."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import command
 from magmatch.cli.narration import put, say
@@ -19,11 +18,9 @@ EXAMPLES = (
 
 @command("datasets", EXAMPLES)
 def datasets(
-    action: Annotated[str, typer.Argument(help="list, or fetch with a NAME.", metavar="[list|fetch]")] = "list",
-    name: Annotated[str | None, typer.Argument(help="Dataset to fetch.", metavar="[NAME]")] = None,
-    source: Annotated[
-        Path | None, typer.Option("--from", help="Copy from this folder instead of downloading.", metavar="DIR")
-    ] = None,
+    action: str = Argument("list", help="list, or fetch with a NAME.", metavar="[list|fetch]"),
+    name: str | None = Argument(None, help="Dataset to fetch.", metavar="[NAME]"),
+    source: Path | None = Option(None, "--from", help="Copy from this folder instead of downloading.", metavar="DIR"),
 ) -> None:
     """List or fetch public recordings.
 

@@ -5,15 +5,14 @@ from importlib.resources import as_file, files
 from json import loads
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+from typer import Option
 
-from magmatch.cli.boundary import DONE, NOT_ACCEPTED
-from magmatch.cli.command import command
-from magmatch.cli.narration import put, say
-from magmatch.cli.outputs import as_json, check_folder
-from magmatch.cli.registering import tell_result
+from magmatch.cli.command import JSON, command
+from magmatch.cli.narration import say
+from magmatch.cli.outputs import answer, check_folder
+from magmatch.cli.registering import tell_result, with_help, with_wait
 from magmatch.errors import MissingExtraError
 
 if TYPE_CHECKING:
@@ -25,16 +24,15 @@ EXAMPLES = ("magmatch demo", "magmatch demo --out demo-output", "magmatch demo -
 
 @command("demo", EXAMPLES)
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the result and its report.")] = Path("magmatch-demo"),
-    seed: Annotated[int, typer.Option(help="Seed of the registration.", min=0)] = 0,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+    out: Path = Option(Path("magmatch-demo"), help="Folder for the result and its report."),
+    seed: int = Option(0, help="Seed of the registration.", min=0),
+    json: bool = JSON,
 ) -> int:
     """Register packaged surveys of an office room.
 
     Both are simulated, so the answer is compared with the truth.
     """
     check_folder(out)
-    from magmatch.cli.registering import with_help, with_wait
     from magmatch.data.read import read_survey
     from magmatch.registration.config import PRESETS
     from magmatch.registration.maps import as_map, map_of
@@ -59,12 +57,9 @@ def demo(
     except MissingExtraError as error:
         report = None
         say(f"No report: {error}")
-    if json:
-        put(as_json(result.to_dict()))
-    say(f"Office room, simulated: base {len(base)} samples, target {len(target)} samples in another frame")
-    say(tell_result(result, out / "result.json", report))
-    say(_compare(result, truth, target))
-    return DONE if result.is_accepted else NOT_ACCEPTED
+    room = f"Office room, simulated: base {len(base)} samples, target {len(target)} samples in another frame"
+    words = "\n".join([room, tell_result(result, out / "result.json", report), _compare(result, truth, target)])
+    return answer(result, words, is_good=result.is_accepted, json=json)
 
 
 def _compare(result: "RegistrationResult", truth: dict[str, Any], target: "Survey") -> str:

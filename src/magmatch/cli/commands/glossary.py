@@ -2,9 +2,8 @@
 """``magmatch glossary``: the terms of messages and reports."""
 
 from difflib import get_close_matches
-from typing import Annotated
 
-import typer
+from typer import Argument
 
 from magmatch.cli.command import command
 from magmatch.cli.narration import put
@@ -15,7 +14,7 @@ EXAMPLES = ("magmatch glossary", "magmatch glossary nat", 'magmatch glossary "nu
 
 @command("glossary", EXAMPLES)
 def glossary(
-    term: Annotated[str | None, typer.Argument(help="A term, or the beginning of one; all by default.")] = None,
+    term: str | None = Argument(None, help="A term, or the beginning of one; all by default."),
 ) -> None:
     """Explain the terms in messages and reports."""
     from magmatch.glossary import terms

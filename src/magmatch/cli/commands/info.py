@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch info``: show what a file holds."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_result
 from magmatch.cli.narration import put
 from magmatch.cli.outputs import as_json
 from magmatch.cli.registering import tell_result
+from magmatch.errors import MagmatchError
 from magmatch.number_text import told
+
+if TYPE_CHECKING:
+    from magmatch.data.formats.format import SurveyFormat
 
 EXAMPLES = (
     "magmatch info survey.csv --field-unit uT",
@@ -32,11 +36,9 @@ UNITS = {
 
 @command("info", EXAMPLES, surveys=(), reads="FILE")
 def info(
-    file: Annotated[
-        Path, typer.Argument(help="Survey, log, saved map, trajectory or registration result.", metavar="FILE")
-    ],
     layouts: Layouts,
-    json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    file: Path = Argument(..., help="Survey, log, saved map, trajectory or registration result.", metavar="FILE"),
+    json: bool = Option(False, "--json", help="Print as JSON."),
 ) -> None:
     """Show what FILE holds.
 
@@ -44,52 +46,49 @@ def info(
     """
     from magmatch.data.read import kind_of
 
-    kind = kind_of(file, layouts.of())
+    layout = layouts.of()
+    kind = kind_of(file, layout)
     if kind == "registration":
         result = read_result(file)
         put(as_json({"kind": "registration"} | result.to_dict()) if json else tell_result(result))
         return
-    names = {"tum": "trajectory", "map": "map", "log": "log", "phone": "phone log"}
-    facts = {"kind": names.get(kind, "survey"), "file": str(file)}
-    of_kind = {"map": _of_map, "tum": _of_trajectory, "log": _of_log, "phone": _of_phone}
-    facts |= of_kind.get(kind, _of_survey)(file, layouts)
+    name, facts_of = KINDS.get(kind, ("survey", _of_survey))
+    facts = {"kind": name, "file": str(file)} | facts_of(file, layout)
     put(as_json(facts) if json else info_table(facts))
 
 
-def _of_log(path: Path, layouts: Layouts) -> dict[str, Any]:
+def _of_log(path: Path, layout: "SurveyFormat") -> dict[str, Any]:
     """Topics of a recorder log, and the survey in it if there is one."""
     from magmatch.data.logs.read import list_topics
 
-    topics, chosen = list_topics(path, layouts.of())
-    return _with_survey({"topics": [topic.facts() for topic in topics], "chosen": chosen}, path, layouts)
+    topics, chosen = list_topics(path, layout)
+    return {"topics": [topic.facts() for topic in topics], "chosen": chosen} | _survey_if_any(path, layout)
 
 
-def _of_phone(path: Path, layouts: Layouts) -> dict[str, Any]:
+def _of_phone(path: Path, layout: "SurveyFormat") -> dict[str, Any]:
     """Sensors of a phone's log, and the survey that it gives with poses."""
     from magmatch.data.formats.phones.read import read_phone_log
 
-    log = read_phone_log(path, recover=layouts.of().recover, with_points=True)
-    return _with_survey({"app": log.app, "topics": log.facts()}, path, layouts)
+    log = read_phone_log(path, recover=layout.recover, with_points=True)
+    return {"app": log.app, "topics": log.facts()} | _survey_if_any(path, layout)
 
 
-def _with_survey(facts: dict[str, Any], path: Path, layouts: Layouts) -> dict[str, Any]:
-    """Contents of a log, with its survey or the reason why there is none."""
-    from magmatch.errors import MagmatchError
-
+def _survey_if_any(path: Path, layout: "SurveyFormat") -> dict[str, Any]:
+    """The survey in a log, or the reason why there is none."""
     try:
-        return facts | _of_survey(path, layouts)
+        return _of_survey(path, layout)
     except MagmatchError as error:
-        return facts | {"no_survey": str(error)}
+        return {"no_survey": str(error)}
 
 
-def _of_survey(path: Path, layouts: Layouts) -> dict[str, Any]:
+def _of_survey(path: Path, layout: "SurveyFormat") -> dict[str, Any]:
     from magmatch.data.describe import describe
     from magmatch.data.read import read_unchecked
 
-    return describe(*read_unchecked(path, layouts.of()))
+    return describe(*read_unchecked(path, layout))
 
 
-def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
+def _of_map(path: Path, _: "SurveyFormat") -> dict[str, Any]:
     from magmatch.data.describe import describe
 
     field_map = read_map(path)
@@ -102,10 +101,9 @@ def _of_map(path: Path, _layouts: Layouts) -> dict[str, Any]:
     return facts | {"hyperparameters": numbers} | describe(field_map.survey)
 
 
-def _of_trajectory(path: Path, layouts: Layouts) -> dict[str, Any]:
+def _of_trajectory(path: Path, layout: "SurveyFormat") -> dict[str, Any]:
     from magmatch.data.formats.load_trajectory import load_trajectory
 
-    layout = layouts.of()
     trajectory = load_trajectory(path, layout, layout.time_unit)
     times, p = trajectory.times, trajectory.positions
     return {
@@ -115,6 +113,15 @@ def _of_trajectory(path: Path, layouts: Layouts) -> dict[str, Any]:
         "high": p.max(axis=0).tolist(),
         "time": {"first": float(times[0]), "last": float(times[-1]), "duration": float(times[-1] - times[0])},
     }
+
+
+# What is said of each kind of file; all others are surveys.
+KINDS = {
+    "map": ("map", _of_map),
+    "tum": ("trajectory", _of_trajectory),
+    "log": ("log", _of_log),
+    "phone": ("phone log", _of_phone),
+}
 
 
 def info_table(facts: Mapping[str, Any]) -> str:
@@ -130,15 +137,8 @@ def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
         label = (above + name).replace("_", " ")
         if isinstance(value, Mapping):
             rows += _rows(value, f"{above}{name} ")
-        elif name == "topics":
-            rows += [("topic", _topic_text(topic)) for topic in value] or [("topics", "none")]
-        elif name == "sensor_biases":
-            rows += [
-                (f"bias of {one['name']}", f"{_text(one['bias'], 'uT')} (sd {_text(one['bias_sd'], 'uT')})")
-                for one in value
-            ]
-        elif name == "warnings":
-            rows += [("warning", str(w)) for w in value] or [("warnings", "none")]
+        elif name in LISTS:
+            rows += [LISTS[name](one) for one in value] or [(name, "none")]
         else:
             # Seconds since 1970 have ten digits before the point.
             is_moment = above.endswith("time ") and name in {"first", "last"} and value is not None
@@ -146,12 +146,24 @@ def _rows(facts: Mapping[str, Any], above: str = "") -> list[tuple[str, str]]:
     return rows
 
 
-def _topic_text(topic: Mapping[str, Any]) -> str:
+def _topic(topic: Mapping[str, Any]) -> tuple[str, str]:
     """One line of a log's contents."""
     text = f"{topic['name']}  {topic['type']}  {topic['count']} messages"
     if topic["rate"] is not None:
         text += f", {topic['rate']:.4g} Hz, {topic['span'][1] - topic['span'][0]:.6g} s"
-    return text
+    return "topic", text
+
+
+def _bias(one: Mapping[str, Any]) -> tuple[str, str]:
+    return f"bias of {one['name']}", f"{_text(one['bias'], 'uT')} (sd {_text(one['bias_sd'], 'uT')})"
+
+
+# Facts of which each item has a line of its own.
+LISTS: dict[str, Callable[[Any], tuple[str, str]]] = {
+    "topics": _topic,
+    "sensor_biases": _bias,
+    "warnings": lambda words: ("warning", str(words)),
+}
 
 
 def _text(value: Any, unit: str) -> str:

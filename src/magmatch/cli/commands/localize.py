@@ -2,16 +2,15 @@
 """``magmatch localize``: where a log's body was in a map."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
+from typer import Argument, Option
 
-from magmatch.cli.boundary import DONE, NOT_ACCEPTED
-from magmatch.cli.command import Layouts, command
+from magmatch.cli.command import JSON, PLANAR, Layouts, command
 from magmatch.cli.inputs import read_poses_of
-from magmatch.cli.narration import put, say
+from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, refuse, vertical
-from magmatch.cli.outputs import as_json, check_outputs
+from magmatch.cli.outputs import answer, check_outputs
 from magmatch.cli.settings import merged, with_limits
 
 if TYPE_CHECKING:
@@ -27,36 +26,29 @@ EXAMPLES = (
 
 @command("localize", EXAMPLES, surveys=(), reads="LOG")
 def localize(
-    place: Annotated[Path, typer.Argument(help="A saved map, its index, or a folder of maps.", metavar="MAP")],
-    log: Annotated[
-        Path,
-        typer.Argument(help="Log with odometry and field, in its own frame; or a phone's raw log.", metavar="LOG"),
-    ],
-    out: Annotated[Path, typer.Option(help="Write the stated poses here (TUM).", metavar="TRAJECTORY")],
     layouts: Layouts,
-    live: Annotated[
-        bool, typer.Option("--live", help="Estimate each pose from earlier samples only, not from the whole log.")
-    ] = False,
-    planar: Annotated[
-        bool, typer.Option("--planar", help="All poses lie on one floor. Detected if the poses show it.")
-    ] = False,
-    no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of map and log is not up.")] = False,
-    odometry_sd: Annotated[
-        str | None,
-        typer.Option(
-            help="Standard deviation of odometry after 10 m: METRES,DEGREES; learned from there.  [default: 0.15,2; "
-            "of a phone's log without poses 0.5,6]"
-        ),
-    ] = None,
-    min_probability: Annotated[
-        float | None, typer.Option(help="Least probability of a stated pose.  [default: 0.99]")
-    ] = None,
-    max_sd: Annotated[
-        str | None, typer.Option(help="Largest standard deviation of a stated pose: METRES,DEGREES.  [default: 2,30]")
-    ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a page with the path over the map here.")] = None,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+    place: Path = Argument(..., help="A saved map, its index, or a folder of maps.", metavar="MAP"),
+    log: Path = Argument(
+        ..., help="Log with odometry and field, in its own frame; or a phone's raw log.", metavar="LOG"
+    ),
+    out: Path = Option(..., help="Write the stated poses here (TUM).", metavar="TRAJECTORY"),
+    live: bool = Option(
+        False, "--live", help="Estimate each pose from earlier samples only, not from the whole log."
+    ),
+    planar: bool = PLANAR,
+    no_gravity: bool = Option(False, "--no-gravity", help="z of map and log is not up."),
+    odometry_sd: str | None = Option(
+        None,
+        help="Standard deviation of odometry after 10 m: METRES,DEGREES; learned from there.  [default: 0.15,2; "
+        "of a phone's log without poses 0.5,6]",
+    ),
+    min_probability: float | None = Option(None, help="Least probability of a stated pose.  [default: 0.99]"),
+    max_sd: str | None = Option(
+        None, help="Largest standard deviation of a stated pose: METRES,DEGREES.  [default: 2,30]"
+    ),
+    report: Path | None = Option(None, help="Write a page with the path over the map here."),
+    config: Path | None = Option(None, help="YAML file of settings, or an earlier result."),
+    json: bool = JSON,
 ) -> int:
     """Find where LOG's body was in MAP's frame.
 
@@ -88,11 +80,8 @@ def localize(
         from magmatch.viz.pages.track_page import write_track_report
 
         write_track_report(report, track, result)
-    if json:
-        put(as_json(result.to_dict()))
-    say(tell(result))
-    say(f"Wrote {out}{f' and {report}' if report else ''}")
-    return DONE if result.is_localized else NOT_ACCEPTED
+    words = f"{tell(result)}\nWrote {out}{f' and {report}' if report else ''}"
+    return answer(result, words, is_good=result.is_localized, json=json)
 
 
 def tell(result: "LocalizationResult") -> str:

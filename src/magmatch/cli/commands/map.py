@@ -2,12 +2,11 @@
 """``magmatch map``: infer the field of a place and save it."""
 
 import logging
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_samples, require_own_poses
@@ -40,37 +39,26 @@ EXAMPLES = (
 
 @command("map", EXAMPLES, surveys=(), reads="every SURVEY")
 def build(
-    surveys: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Surveys (or saved maps) in one frame; several are mapped together. If the first is a saved map and "
-            "no setting is given, the others are added to it, and only the part that they touch is fitted again.",
-            metavar="SURVEY",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Write the map here.")],
     layouts: Layouts,
-    report: Annotated[Path | None, typer.Option(help="Write an HTML report on the map here.")] = None,
-    prior: Annotated[
-        str | None,
-        typer.Option(
-            help="Prior of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) chooses the one "
-            "that predicts held-out data best."
-        ),
-    ] = None,
-    domain: Annotated[
-        str | None,
-        typer.Option(
-            help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; by default to about a lengthscale from the samples."
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="YAML file of field settings (lengthscale, noise_sd, ...).")
-    ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that fit the tiles of a large map.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler whose workers fit the tiles instead, tcp://HOST:PORT.")
-    ] = None,
+    surveys: list[Path] = Argument(
+        ...,
+        help="Surveys (or saved maps) in one frame; several are mapped together. If the first is a saved map and "
+        "no setting is given, the others are added to it, and only the part that they touch is fitted again.",
+        metavar="SURVEY",
+    ),
+    out: Path = Option(..., help="Write the map here."),
+    report: Path | None = Option(None, help="Write an HTML report on the map here."),
+    prior: str | None = Option(
+        None,
+        help="Prior of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) chooses the one "
+        "that predicts held-out data best.",
+    ),
+    domain: str | None = Option(
+        None, help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; by default to about a lengthscale from the samples."
+    ),
+    config: Path | None = Option(None, help="YAML file of field settings (lengthscale, noise_sd, ...)."),
+    jobs: int = Option(1, min=1, help="Processes that fit the tiles of a large map."),
+    scheduler: str | None = Option(None, help="Dask scheduler whose workers fit the tiles instead, tcp://HOST:PORT."),
 ) -> None:
     """Build and save a field map, or add surveys to one."""
     from magmatch.data.formats.sniff import sniff
@@ -87,7 +75,7 @@ def build(
     if is_addition:
         with processes(jobs, scheduler) as run:
             grown = extend(surveys[0], surveys[1:], layouts, out, run)
-        draw(report, grown, (), command_again(surveys, layouts, out, with_settings=False))
+        draw(report, grown, (), layouts.again("map", surveys, "--out", out))
         return
     settings = merged(FieldConfig(), config, "field")
     stated: dict[str, Any] = {} if prior is None else {"prior": one_of("--prior", prior, ("auto", *PRIORS))}
@@ -111,7 +99,7 @@ def build(
     if field_map.biases is not None and len(field_map.surveys) == len(samples):
         samples = list(field_map.biases.without(samples))
     _warn_of_sensors(samples, field_map)
-    draw(report, field_map, samples, command_again(surveys, layouts, out))
+    draw(report, field_map, samples, layouts.again("map", surveys, "--config", "settings.yaml", "--out", out))
 
 
 def _warn_of_sensors(surveys: "Sequence[Survey]", field_map: "FieldMap") -> None:
@@ -134,13 +122,6 @@ def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", c
 
     write_map_report(report, field_map, read, command)
     say(f"Wrote the report to {report}")
-
-
-def command_again(surveys: "Sequence[Path]", layouts: Layouts, out: Path, *, with_settings: bool = True) -> str:
-    """Command line that reproduces the map, with the resolved settings in settings.yaml."""
-    words = ["magmatch", "map", *map(str, surveys), *layouts.words()]
-    words += ["--config", "settings.yaml"] if with_settings else []
-    return shlex.join([*words, "--out", str(out)])
 
 
 def extend(path: Path, more: Sequence[Path], layouts: Layouts, out: Path, run: "Workers | None") -> "FieldMap":

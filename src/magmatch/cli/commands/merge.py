@@ -2,11 +2,10 @@
 """``magmatch merge``: rigid surveys of one place into one frame and one map."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from magmatch.cli.command import Layouts, command
+from magmatch.cli.command import JSON, SEED, Layouts, command
 from magmatch.cli.inputs import read_poses_of, read_survey_or_map, require_own_poses
 from magmatch.cli.option_values import processes, refuse
 from magmatch.cli.outputs import check_folder
@@ -23,22 +22,18 @@ EXAMPLES = (
 
 @command("merge", EXAMPLES, surveys=(), reads="every SURVEY")
 def merge(
-    surveys: Annotated[
-        list[Path], typer.Argument(help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for surveys, maps, graph, report and result.")],
     layouts: Layouts,
-    gravity_aligned: Annotated[bool, typer.Option("--gravity-aligned", help="z points up in all surveys.")] = False,
-    planar: Annotated[bool, typer.Option("--planar", help="As --gravity-aligned, with a common height.")] = False,
-    config: Annotated[
-        Path | None, typer.Option(help="YAML file of registration settings, or an earlier result.")
-    ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that register pairs.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler whose workers do so instead, tcp://HOST:PORT.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+    surveys: list[Path] = Argument(
+        ..., help="Surveys or saved maps, each rigid, in its own frame.", metavar="SURVEY"
+    ),
+    out: Path = Option(..., help="Folder for surveys, maps, graph, report and result."),
+    gravity_aligned: bool = Option(False, "--gravity-aligned", help="z points up in all surveys."),
+    planar: bool = Option(False, "--planar", help="As --gravity-aligned, with a common height."),
+    config: Path | None = Option(None, help="YAML file of registration settings, or an earlier result."),
+    jobs: int = Option(1, min=1, help="Processes that register pairs."),
+    scheduler: str | None = Option(None, help="Dask scheduler whose workers do so instead, tcp://HOST:PORT."),
+    seed: int = SEED,
+    json: bool = JSON,
 ) -> int:
     """Bring SURVEYs into one frame and one map.
 
@@ -56,11 +51,12 @@ def merge(
         refuse("SURVEY", "at least two surveys", str(surveys[0]))
     require_own_poses(surveys, layouts, "SURVEY")
     check_folder(out)
-    settings = with_prior(registration_config("default", config), None, None, gravity_aligned, None, planar)
+    settings = registration_config("default", config)
+    settings = with_prior(settings, is_aligned=gravity_aligned, is_planar=planar)
     read = [read_survey_or_map(path, layouts) for path in surveys]
     require_folder(out, [survey_of(one) for one in read], [*surveys, *([config] if config else [])])
     poses = [read_poses_of(path, layouts) for path in surveys]
     with processes(jobs, scheduler) as run:
         session = merged(read, settings, seed=seed, run=run, keep=unfinished(out))
-    words = ["merge", *map(str, surveys), *layouts.words(), "--seed", str(seed)]
-    return deliver(session, out, words, poses, json=json)
+    again = layouts.again("merge", surveys, "--seed", seed, "--config", "settings.yaml", "--out", out)
+    return deliver(session, out, again, poses, json=json)

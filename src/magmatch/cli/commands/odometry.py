@@ -2,9 +2,8 @@
 """``magmatch odometry``: dead reckoning of a walk from a phone's accelerometer and gyroscope."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import command
 from magmatch.cli.narration import say
@@ -20,17 +19,12 @@ APPS = "phyphox, AndroSensor, Sensor Logger, GetSensorData, XYZ10, Android"
 
 @command("odometry", EXAMPLES)
 def odometry(
-    log: Annotated[Path, typer.Argument(help=f"Phone's log: {APPS}.", metavar="LOG")],
-    out: Annotated[Path, typer.Option(help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY")],
-    step_scale: Annotated[
-        float,
-        typer.Option(
-            min=0.3, max=3, help="Ratio of your step length to the average: true length of a path over ours."
-        ),
-    ] = 1.0,
-    recover: Annotated[
-        bool, typer.Option("--recover", help="Skip rows without valid numbers, instead of refusing the log.")
-    ] = False,
+    log: Path = Argument(..., help=f"Phone's log: {APPS}.", metavar="LOG"),
+    out: Path = Option(..., help="Write the poses here (TUM), on the log's clock.", metavar="TRAJECTORY"),
+    step_scale: float = Option(
+        1.0, min=0.3, max=3, help="Ratio of your step length to the average: true length of a path over ours."
+    ),
+    recover: bool = Option(False, "--recover", help="Skip rows without valid numbers, instead of refusing the log."),
 ) -> None:
     """Compute poses by dead reckoning for a LOG without any.
 

@@ -3,9 +3,9 @@
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.narration import say
@@ -32,36 +32,26 @@ EXAMPLES = (
 
 @command("prepare", EXAMPLES, surveys=(), reads="LOG")
 def prepare(
-    log: Annotated[Path, typer.Argument(help="Raw log: a survey with orientations.", metavar="LOG")],
-    out: Annotated[Path, typer.Option(help="Write the survey here (CSV).")],
     layouts: Layouts,
-    report: Annotated[
-        Path | None, typer.Option(help="Write the report here (JSON); next to the survey by default.")
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            help="YAML file: thin, recalibration, time_offset, calibration, currents, disturbances, resampling."
-        ),
-    ] = None,
-    sensor_from: Annotated[
-        Path | None,
-        typer.Option(
-            help="Start from a known calibration: the report (JSON) of another log, or a CSV of bx,by,bz (sensor "
-            "frame) recorded while rotating the sensor in one place, to which --field-unit, --columns and --recover "
-            "apply too."
-        ),
-    ] = None,
-    place: Annotated[
-        str | None, typer.Option(help="LAT,LON,HEIGHT in degrees and metres: compare with the Earth's field there.")
-    ] = None,
-    thin: Annotated[
-        float | None,
-        typer.Option(
-            min=1e-6, metavar="METRES", help="Take one sample each METRES of the way: for logs of high rates."
-        ),
-    ] = None,
-    date: Annotated[str | None, typer.Option(help="Day of the survey, YYYY-MM-DD; goes with --place.")] = None,
+    log: Path = Argument(..., help="Raw log: a survey with orientations.", metavar="LOG"),
+    out: Path = Option(..., help="Write the survey here (CSV)."),
+    report: Path | None = Option(None, help="Write the report here (JSON); next to the survey by default."),
+    config: Path | None = Option(
+        None, help="YAML file: thin, recalibration, time_offset, calibration, currents, disturbances, resampling."
+    ),
+    sensor_from: Path | None = Option(
+        None,
+        help="Start from a known calibration: the report (JSON) of another log, or a CSV of bx,by,bz (sensor "
+        "frame) recorded while rotating the sensor in one place, to which --field-unit, --columns and --recover "
+        "apply too.",
+    ),
+    place: str | None = Option(
+        None, help="LAT,LON,HEIGHT in degrees and metres: compare with the Earth's field there."
+    ),
+    thin: float | None = Option(
+        None, min=1e-6, metavar="METRES", help="Take one sample each METRES of the way: for logs of high rates."
+    ),
+    date: str | None = Option(None, help="Day of the survey, YYYY-MM-DD; goes with --place."),
 ) -> None:
     """Correct LOG's clock and sensor errors, and check its samples.
 

@@ -2,9 +2,8 @@
 """``magmatch query``: evaluate a map at points."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map
@@ -19,17 +18,15 @@ EXAMPLES = (
 
 @command("query", EXAMPLES)
 def query(
-    field_map: Annotated[Path, typer.Argument(help="Saved map.", metavar="MAP")],
-    points: Annotated[
-        Path,
-        typer.Argument(
-            help="CSV with columns x, y, z in the map's frame; or lat, lon, alt, if it is about an origin.",
-            metavar="POINTS.csv",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Write here (CSV).")],
-    length_unit: Annotated[str, typer.Option(help="POINTS.csv: unit of the points, m|cm|mm.")] = "m",
-    gradient: Annotated[bool, typer.Option("--gradient", help="Add the field's gradient, T/m.")] = False,
+    field_map: Path = Argument(..., help="Saved map.", metavar="MAP"),
+    points: Path = Argument(
+        ...,
+        help="CSV with columns x, y, z in the map's frame; or lat, lon, alt, if it is about an origin.",
+        metavar="POINTS.csv",
+    ),
+    out: Path = Option(..., help="Write here (CSV)."),
+    length_unit: str = Option("m", help="POINTS.csv: unit of the points, m|cm|mm."),
+    gradient: bool = Option(False, "--gradient", help="Add the field's gradient, T/m."),
 ) -> None:
     """Write MAP's field at given points.
 

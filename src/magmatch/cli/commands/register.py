@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """``magmatch register``: find the transform between two surveys."""
 
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
+from typer import Argument, Option
 
-from magmatch.cli.boundary import DONE, NOT_ACCEPTED
-from magmatch.cli.command import Layouts, command
+from magmatch.cli.command import JSON, SEED, Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
-from magmatch.cli.narration import put, say
-from magmatch.cli.outputs import as_json, check_folder, check_outputs
+from magmatch.cli.outputs import answer, check_folder, check_outputs
 from magmatch.cli.registering import tell_result, with_help, with_wait
 from magmatch.cli.settings import registration_config, with_limits, with_prior
 
@@ -39,60 +36,44 @@ EXAMPLES = (
 
 @command("register", EXAMPLES, surveys=("base", "target"), reads="BASE and TARGET")
 def register(
-    base: Annotated[
-        Path, typer.Argument(help="Survey, saved map or folder of saved maps that defines the frame.", metavar="BASE")
-    ],
-    target: Annotated[Path, typer.Argument(help="Survey or saved map to bring into that frame.", metavar="TARGET")],
     layouts: Layouts,
-    out: Annotated[Path | None, typer.Option(help="Write the result here (JSON).")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write an HTML report here.")] = None,
-    figures: Annotated[
-        Path | None, typer.Option(help="Write figures into this folder, each as PNG and SVG.", metavar="DIR")
-    ] = None,
-    preset: Annotated[
-        str,
-        typer.Option(
-            help="Settings to start from: default, paper (as published) or paper-literal (to the letter; slow)."
-        ),
-    ] = "default",
-    sensor: Annotated[
-        str, typer.Option(help="Differences between the magnetometers to estimate: auto|none|bias|scale|full.")
-    ] = "auto",
-    prior_pose: Annotated[
-        str | None, typer.Option(help="Rough T_base_target: x,y,z,qx,qy,qz,qw (m), or a result file.")
-    ] = None,
-    prior_pose_sd: Annotated[
-        str | None,
-        typer.Option(help="Standard deviations of that pose at the target: metres,degrees.  [default: 1,9.7]"),
-    ] = None,
-    gravity_aligned: Annotated[
-        bool, typer.Option("--gravity-aligned", help="z points up in both surveys: search position and heading only.")
-    ] = False,
-    planar: Annotated[
-        bool,
-        typer.Option("--planar", help="As --gravity-aligned, with a common height: search x, y and heading only."),
-    ] = False,
-    gravity_sd: Annotated[
-        float | None, typer.Option(help="Accuracy of the vertical, degrees.  [default: 0.57]", min=0.001, max=45)
-    ] = None,
-    min_probability: Annotated[
-        float | None, typer.Option(help="Least probability of an accepted pose.  [default: 0.99]")
-    ] = None,
-    max_sd: Annotated[
-        str | None,
-        typer.Option(
-            help="Largest standard deviation of an accepted pose: metres,degrees.  "
-            "[default: 0.3 correlation lengths of the field, 4.6 degrees]"
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None, typer.Option(help="YAML file of settings, or an earlier result: overrides the preset's.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Same input, settings and seed give the same answer.", min=0)] = 0,
-    keep_index: Annotated[
-        bool, typer.Option(help="Keep what was prepared of a saved map beside it, for later targets.")
-    ] = True,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+    base: Path = Argument(
+        ..., help="Survey, saved map or folder of saved maps that defines the frame.", metavar="BASE"
+    ),
+    target: Path = Argument(..., help="Survey or saved map to bring into that frame.", metavar="TARGET"),
+    out: Path | None = Option(None, help="Write the result here (JSON)."),
+    report: Path | None = Option(None, help="Write an HTML report here."),
+    figures: Path | None = Option(None, help="Write figures into this folder, each as PNG and SVG.", metavar="DIR"),
+    preset: str = Option(
+        "default",
+        help="Settings to start from: default, paper (as published) or paper-literal (to the letter; slow).",
+    ),
+    sensor: str = Option(
+        "auto", help="Differences between the magnetometers to estimate: auto|none|bias|scale|full."
+    ),
+    prior_pose: str | None = Option(None, help="Rough T_base_target: x,y,z,qx,qy,qz,qw (m), or a result file."),
+    prior_pose_sd: str | None = Option(
+        None, help="Standard deviations of that pose at the target: metres,degrees.  [default: 1,9.7]"
+    ),
+    gravity_aligned: bool = Option(
+        False, "--gravity-aligned", help="z points up in both surveys: search position and heading only."
+    ),
+    planar: bool = Option(
+        False, "--planar", help="As --gravity-aligned, with a common height: search x, y and heading only."
+    ),
+    gravity_sd: float | None = Option(
+        None, help="Accuracy of the vertical, degrees.  [default: 0.57]", min=0.001, max=45
+    ),
+    min_probability: float | None = Option(None, help="Least probability of an accepted pose.  [default: 0.99]"),
+    max_sd: str | None = Option(
+        None,
+        help="Largest standard deviation of an accepted pose: metres,degrees.  "
+        "[default: 0.3 correlation lengths of the field, 4.6 degrees]",
+    ),
+    config: Path | None = Option(None, help="YAML file of settings, or an earlier result: overrides the preset's."),
+    seed: int = SEED,
+    keep_index: bool = Option(True, help="Keep what was prepared of a saved map beside it, for later targets."),
+    json: bool = JSON,
 ) -> int:
     """Find the transform from TARGET to BASE.
 
@@ -105,7 +86,14 @@ def register(
     """
     with_help()
     settings = registration_config(preset, config, sensor)
-    settings = with_prior(settings, prior_pose, prior_pose_sd, gravity_aligned, gravity_sd, planar)
+    settings = with_prior(
+        settings,
+        is_aligned=gravity_aligned,
+        is_planar=planar,
+        gravity_sd=gravity_sd,
+        pose=prior_pose,
+        pose_sd=prior_pose_sd,
+    )
     settings = with_limits(settings, min_probability, max_sd)
     check_outputs((out,), inputs=(base, target, config), page=report)
     if figures is not None:
@@ -126,18 +114,15 @@ def register(
         # If no map of a folder fits, there is nothing to draw; the report then has text only.
         target_map = None if base_map is None else as_map(mapped, settings.field)
         published = settings.keypoints if settings.search == "keypoints" else None
-        words = ["magmatch", "register", str(base), str(target), *layouts.words()]
-        again = shlex.join([*words, "--config", "settings.yaml", "--seed", str(seed)])
         if report is not None:
+            again = layouts.again("register", [base, target], "--config", "settings.yaml", "--seed", seed)
             write_report(report, base_map, target_map, result, again, published)
         if figures is not None and base_map is not None and target_map is not None:
             from magmatch.viz.images import registration_figures, write_images
 
             write_images(figures, registration_figures(base_map, target_map, result, published))
-    if json:
-        put(as_json(result.to_dict()))
-    say(tell_result(result, out, report, figures if base_map is not None else None))
-    return DONE if result.is_accepted else NOT_ACCEPTED
+    words = tell_result(result, out, report, figures if base_map is not None else None)
+    return answer(result, words, is_good=result.is_accepted, json=json)
 
 
 def _register(

@@ -2,9 +2,8 @@
 """``magmatch simulate``: two surveys of a simulated place, and the true transform between them."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import command
 from magmatch.cli.narration import say
@@ -15,11 +14,9 @@ EXAMPLES = ("magmatch simulate office --out pair --seed 3", "magmatch register p
 
 @command("simulate", EXAMPLES)
 def simulate(
-    scenario: Annotated[
-        str, typer.Argument(help="Name of a scenario; an unknown name lists all.", metavar="SCENARIO")
-    ],
-    out: Annotated[Path, typer.Option(help="Folder to write base.csv, target.csv and truth.json to.")],
-    seed: Annotated[int, typer.Option(help="Same scenario and seed give the same surveys.", min=0)] = 0,
+    scenario: str = Argument(..., help="Name of a scenario; an unknown name lists all.", metavar="SCENARIO"),
+    out: Path = Option(..., help="Folder to write base.csv, target.csv and truth.json to."),
+    seed: int = Option(0, help="Same scenario and seed give the same surveys.", min=0),
 ) -> None:
     """Simulate two surveys of one place.
 

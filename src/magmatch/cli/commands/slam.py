@@ -3,11 +3,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
+from typer import Argument, Option
 
-from magmatch.cli.command import Layouts, command
+from magmatch.cli.command import JSON, PLANAR, RERUN, Layouts, command
 from magmatch.cli.inputs import logs_in, read_poses_of, require_own_poses
 from magmatch.cli.narration import say
 from magmatch.cli.option_values import numbers, processes, refuse, vertical
@@ -34,49 +34,35 @@ SD = "metres,degrees or NAME:metres,degrees, none below 0, such as 0.3,4"
 
 @command("slam", EXAMPLES, surveys=(), reads="every LOG")
 def slam(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Logs with odometry and field, each in its own frame; or a phone's raw logs; or a folder of logs.",
-            metavar="LOG",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for trajectories, surveys, maps, graph, report and result.")],
     layouts: Layouts,
-    odometry_sd: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Standard deviation of odometry after 10 m: METRES,DEGREES, or NAME:METRES,DEGREES for one log.  "
-            "[default: from the covariance in nav_msgs/Odometry if it is plausible, else 0.3,4]"
-        ),
-    ] = None,
-    planar: Annotated[
-        bool, typer.Option("--planar", help="All poses lie on one floor. Detected if the poses show it.")
-    ] = False,
-    no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of the logs is not up.")] = False,
-    anchors: Annotated[
-        Path | None,
-        typer.Option(
-            help="Known positions of logs at given times: a table log,t,x,y,z,sd, always in s and m; or lat,lon "
-            "for x,y."
-        ),
-    ] = None,
-    no_waypoints: Annotated[
-        bool, typer.Option("--no-waypoints", help="Do not use surveyed points that a phone's log holds itself.")
-    ] = False,
-    is_more: Annotated[
-        bool,
-        typer.Option(
-            "--continue", help="Add those LOGs that are not yet in the folder's result, and keep the others."
-        ),
-    ] = False,
-    config: Annotated[Path | None, typer.Option(help="YAML file of settings, or an earlier result.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that map and compare stretches of path.")] = 1,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler whose workers do so instead, tcp://HOST:PORT.")
-    ] = None,
-    rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")] = False,
+    logs: list[Path] = Argument(
+        ...,
+        help="Logs with odometry and field, each in its own frame; or a phone's raw logs; or a folder of logs.",
+        metavar="LOG",
+    ),
+    out: Path = Option(..., help="Folder for trajectories, surveys, maps, graph, report and result."),
+    odometry_sd: list[str] | None = Option(
+        None,
+        help="Standard deviation of odometry after 10 m: METRES,DEGREES, or NAME:METRES,DEGREES for one log.  "
+        "[default: from the covariance in nav_msgs/Odometry if it is plausible, else 0.3,4]",
+    ),
+    planar: bool = PLANAR,
+    no_gravity: bool = Option(False, "--no-gravity", help="z of the logs is not up."),
+    anchors: Path | None = Option(
+        None,
+        help="Known positions of logs at given times: a table log,t,x,y,z,sd, always in s and m; or lat,lon for x,y.",
+    ),
+    no_waypoints: bool = Option(
+        False, "--no-waypoints", help="Do not use surveyed points that a phone's log holds itself."
+    ),
+    is_more: bool = Option(
+        False, "--continue", help="Add those LOGs that are not yet in the folder's result, and keep the others."
+    ),
+    config: Path | None = Option(None, help="YAML file of settings, or an earlier result."),
+    jobs: int = Option(1, min=1, help="Processes that map and compare stretches of path."),
+    scheduler: str | None = Option(None, help="Dask scheduler whose workers do so instead, tcp://HOST:PORT."),
+    rerun: Path | None = RERUN,
+    json: bool = JSON,
 ) -> int:
     """Correct the drift of LOGs, and bring them into one frame.
 
@@ -132,9 +118,9 @@ def slam(
         session.add_logs(new, surveyed, waypoints=not no_waypoints, run=run, keep=unfinished(out))
     # A session has its logs in the order in which they were added.
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
-    words = ["slam", *map(str, asked), *layouts.words(), *(["--anchors", str(anchors)] if anchors else [])]
-    words += ["--no-waypoints"] if no_waypoints else []
-    return deliver(session, out, words, poses, json=json, rerun=rerun)
+    more = [*(["--anchors", anchors] if anchors else []), *(["--no-waypoints"] if no_waypoints else [])]
+    again = layouts.again("slam", asked, *more, "--config", "settings.yaml", "--out", out)
+    return deliver(session, out, again, poses, json=json, rerun=rerun)
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":

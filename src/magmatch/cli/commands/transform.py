@@ -2,9 +2,8 @@
 """``magmatch transform``: bring the target into the base's frame."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import is_map, read_map, read_result, read_samples
@@ -20,10 +19,10 @@ EXAMPLES = (
 
 @command("transform", EXAMPLES, surveys=("target",), reads="TARGET")
 def transform(
-    target: Annotated[Path, typer.Argument(help="Survey or saved map.", metavar="TARGET")],
-    by: Annotated[Path, typer.Option(help="Result of 'magmatch register' (JSON).")],
-    out: Annotated[Path, typer.Option(help="Write here: CSV in tesla and metre, or a map if TARGET is one.")],
     layouts: Layouts,
+    target: Path = Argument(..., help="Survey or saved map.", metavar="TARGET"),
+    by: Path = Option(..., help="Result of 'magmatch register' (JSON)."),
+    out: Path = Option(..., help="Write here: CSV in tesla and metre, or a map if TARGET is one."),
 ) -> None:
     """Write TARGET in the base's frame.
 

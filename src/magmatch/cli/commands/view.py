@@ -2,12 +2,12 @@
 """``magmatch view``: a picture of a survey, a map or a registration, or a recording of it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
 from pydantic import ValidationError
+from typer import Argument, Option
 
-from magmatch.cli.command import Layouts, command, flag_of
+from magmatch.cli.command import RERUN, Layouts, command, flag_of
 from magmatch.cli.inputs import read_result, read_survey_or_map
 from magmatch.cli.narration import put
 from magmatch.cli.option_values import refuse
@@ -30,20 +30,14 @@ EXAMPLES = (
 
 @command("view", EXAMPLES, surveys=("base", "target"), reads="every FILE")
 def view(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Surveys, saved maps, or a registration result with its base and target.", metavar="FILE"
-        ),
-    ],
     layouts: Layouts,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write here (HTML); by default in this folder, named after the first file, where no file is yet."
-        ),
-    ] = None,
-    rerun: Annotated[Path | None, typer.Option(help="Write a recording for the Rerun viewer here (.rrd).")] = None,
+    files: list[Path] = Argument(
+        ..., help="Surveys, saved maps, or a registration result with its base and target.", metavar="FILE"
+    ),
+    out: Path | None = Option(
+        None, help="Write here (HTML); by default in this folder, named after the first file, where no file is yet."
+    ),
+    rerun: Path | None = RERUN,
 ) -> None:
     """Draw surveys, maps or a registration.
 
