@@ -168,13 +168,6 @@ def test_units_are_stated_for_one_survey_or_all(place, run, tmp_path):
     assert len(read_survey(tmp_path / "a.csv")) == len(survey)
 
 
-def test_help_lists_options_of_a_single_survey_once(run):
-    assert "--target-field-unit" in run("register", "--help").out
-    said = run("transform", "--help").out
-    assert said.count("--field-unit") == 1
-    assert "--target-" not in said
-
-
 @pytest.mark.parametrize("name", ["base.csv", "base.map", "result.json"])
 def test_info_tells_people_and_programs(name, place, run):
     table, data = run("info", place / name), run("info", place / name, "--json")
@@ -195,16 +188,6 @@ def test_info_says_doubts_once(run, tmp_path):
     outcome = run("info", tmp_path / "line.csv")
     assert "on one line" in outcome.out
     assert outcome.err == ""
-
-
-@pytest.mark.parametrize("names", [("base.csv",), ("base.map",), ("result.json",)])
-def test_view_writes_one_page_named_after_the_first_file(names, place, run, tmp_path, monkeypatch):
-    pytest.importorskip("plotly")
-    monkeypatch.chdir(tmp_path)
-    page = Path(names[0]).with_suffix(".html")
-    outcome = run("view", *(place / name for name in names))
-    assert (outcome.code, outcome.out.strip()) == (0, str(page))
-    assert page.read_text().startswith("<!DOCTYPE html>")
 
 
 def test_simulate_writes_the_same_pair_for_the_same_seed(run, tmp_path):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which files a folder of logs stands for."""
 
+from pathlib import Path
+
 import pytest
 
 from magmatch.cli.inputs import logs_in
@@ -32,6 +34,19 @@ def test_a_folder_that_is_a_log_stands_for_itself(tmp_path):
     (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
     (tmp_path / "walk.txt").write_text(PHONE)
     assert logs_in([tmp_path]) == [tmp_path]
+
+
+def test_a_pattern_that_the_shell_left_stands_for_the_logs_that_it_matches(tmp_path, monkeypatch):
+    (tmp_path / "floor").mkdir()
+    first, a, b = (tmp_path / "floor" / name for name in ("[1].txt", "a.txt", "b.txt"))
+    for log in (b, a, first):
+        log.write_text(PHONE)
+    assert logs_in([tmp_path / "floor" / "*.txt"]) == [first, a, b]
+    assert logs_in([tmp_path / "*" / "[ab].txt", first]) == [a, b, first]
+    monkeypatch.chdir(tmp_path)
+    assert logs_in([Path("floor/a*")]) == [Path("floor/a.txt")]
+    with pytest.raises(DataFormatError, match=r"\*\.csv: matches no file"):
+        logs_in([tmp_path / "floor" / "*.csv"])
 
 
 def test_a_folder_without_logs_is_refused(tmp_path):

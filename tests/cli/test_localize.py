@@ -99,7 +99,6 @@ def test_elsewhere_it_says_never_and_writes_no_pose(run, hall, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["{hall}/hall.map", "{hall}/walk.csv"], "--out"),
         (["{hall}/walk.csv", "{hall}/walk.csv", "--out", "{tmp}/w.tum"], "saved map"),
         (["{tmp}", "{hall}/walk.csv", "--out", "{tmp}/w.tum"], "no saved maps"),
         (["{hall}/hall.map", "{hall}/walk.csv", "--out", "{hall}/walk.csv"], "input"),

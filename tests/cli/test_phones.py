@@ -4,14 +4,12 @@
 import json
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
-from magmatch.cli.inputs import logs_in
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 from magmatch.data.trajectory import Trajectory
@@ -20,6 +18,7 @@ from magmatch.preparation.odometry.open_walk import open_walk
 from magmatch.preparation.prepare import prepare_either
 from magmatch.slam.session import Session
 
+pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
 pytestmark = pytest.mark.usefixtures("numbers_are_given")
 G, RATE = 9.81, 50.0
 
@@ -59,7 +58,6 @@ def export(tmp_path_factory):
 
 
 def test_odometry_then_prepare_makes_a_survey(export, tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     outcome = run("odometry", export, "--out", tmp_path / "walk.tum")
     assert (outcome.code, outcome.out) == (0, "")
     assert "steps in 24 s" in outcome.err
@@ -87,21 +85,6 @@ def test_odometry_then_prepare_makes_a_survey(export, tmp_path, run):
     assert len(read_survey(tmp_path / "walk.csv")) > 1000
 
 
-@pytest.mark.slow
-def test_slam_takes_a_raw_log_as_with_poses_by_odometry(export, tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
-    raw = run("slam", export, "--out", tmp_path / "raw")
-    assert "Dead reckoning of " in raw.err
-    run("odometry", export, "--out", tmp_path / "walk.tum")
-    posed = run("slam", export, "--trajectory", tmp_path / "walk.tum", "--out", tmp_path / "posed")
-    assert raw.code == posed.code
-    assert raw.code in (0, 3)
-    raw, posed = (Trajectory.load(tmp_path / name / "walk.tum") for name in ("raw", "posed"))
-    moments = np.linspace(max(raw.times[0], posed.times[0]), min(raw.times[-1], posed.times[-1]), 50)
-    at = [np.column_stack([np.interp(moments, t.times, x) for x in t.positions.T]) for t in (raw, posed)]
-    np.testing.assert_allclose(*at, atol=0.05)
-
-
 def read_walk(path, layout=None):
     return open_walk(path, layout, with_points=False).survey()
 
@@ -127,7 +110,6 @@ def xyz10(folder, name, origin=(100.0, 50.0)):
 
 
 def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     xyz10(tmp_path / "floor", "one.txt")
     xyz10(tmp_path / "floor", "two.txt", origin=(100.0, 80.0))
     two = tmp_path / "floor" / "two.txt"
@@ -151,19 +133,7 @@ def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, 
         assert np.abs(poses.positions[at, :2] - [105.5, y]).max() < 0.6
 
 
-def test_a_pattern_that_the_shell_left_stands_for_the_logs_that_it_matches(tmp_path, monkeypatch):
-    logs = [xyz10(tmp_path / "floor", name) for name in ("b.txt", "a.txt", "[1].txt")]
-    (tmp_path / "floor" / "notes.md").write_text("none")
-    assert logs_in([tmp_path / "floor" / "*.txt"]) == sorted(logs)
-    assert logs_in([tmp_path / "*" / "[ab].txt", logs[2]]) == [logs[1], logs[0], logs[2]]
-    monkeypatch.chdir(tmp_path)
-    assert logs_in([Path("floor/a*")]) == [Path("floor/a.txt")]
-    with pytest.raises(DataFormatError, match=r"\*\.csv: matches no file"):
-        logs_in([tmp_path / "floor" / "*.csv"])
-
-
 def test_without_waypoints_none_is_used(tmp_path, run, monkeypatch):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
 
     def asked(*_args, waypoints, **_named):
         raise DataFormatError("walk.txt", f"waypoints: {waypoints}")
@@ -175,7 +145,6 @@ def test_without_waypoints_none_is_used(tmp_path, run, monkeypatch):
 
 
 def test_localization_reads_no_surveyed_point(tmp_path):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     log = xyz10(tmp_path / "floor", "walk.txt")
     known = read_walk(log)
     log.write_text("".join(line for line in log.read_text().splitlines(keepends=True) if "WAYPOINT" not in line))
@@ -223,7 +192,6 @@ def test_whatever_else_is_read_is_checked_before_a_log_is_dead_reckoned(case, tm
 
 
 def test_points_in_degrees_are_metres_about_the_first(tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     t, sensors = readings()
     lines = ["% GetSensorData"]
     for tag, name in (("ACCE", "TotalAcceleration"), ("GYRO", "Gyroscope"), ("MAGN", "Magnetometer")):
@@ -259,20 +227,13 @@ def test_what_is_no_phones_log_is_refused_in_one_line(tmp_path, refused):
     assert not (tmp_path / "out.tum").exists()
 
 
-@pytest.mark.parametrize("scale", ["0", "nan"])
-def test_bad_usage_is_refused(scale, export, tmp_path, refused):
-    refused(["odometry", export, "--out", tmp_path / "x.tum", "--step-scale", scale], "--step-scale", tmp_path)
-
-
 def test_a_unit_of_length_is_none_of_dead_reckonings_metres(export):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     walks = [read_walk(export, layout) for layout in (None, SurveyFormat(length_unit="mm"))]
     np.testing.assert_array_equal(walks[0].positions, walks[1].positions)
     assert np.ptp(walks[0].positions, axis=0).max() > 3
 
 
 def test_a_walk_loses_no_sample_to_its_dead_reckoning_with_a_warning(export, tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     assert run("odometry", export, "--out", tmp_path / "walk.tum").code == 0
     done = run("info", export, "--trajectory", tmp_path / "walk.tum")
     assert "without a pose" not in done.err
@@ -295,7 +256,6 @@ def featureless_room():
     ],
 )
 def test_both_doors_take_the_same_drift_of_a_dead_reckoned_log(words, stated, expected, export, tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     room, walk = featureless_room(), read_walk(export)
     room.save(tmp_path / "room.map")
     (tmp_path / "settings.yaml").write_text(json.dumps(stated))
@@ -308,7 +268,6 @@ def test_both_doors_take_the_same_drift_of_a_dead_reckoned_log(words, stated, ex
 
 
 def test_poses_of_a_file_of_their_own_are_not_dead_reckoned(export, tmp_path, run):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     run("odometry", export, "--out", tmp_path / "walk.tum")
     walk = read_walk(export, SurveyFormat(trajectory=tmp_path / "walk.tum"))
     assert not walk.is_dead_reckoned
@@ -317,7 +276,6 @@ def test_poses_of_a_file_of_their_own_are_not_dead_reckoned(export, tmp_path, ru
 
 
 def test_a_log_without_magnetometer_is_told_which_sensors_it_has(export, tmp_path):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     with zipfile.ZipFile(export) as whole, zipfile.ZipFile(tmp_path / "walk.zip", "w") as part:
         for name in ("TotalAcceleration.csv", "Gyroscope.csv"):
             part.writestr(name, whole.read(name))
@@ -338,7 +296,6 @@ def said_of(folder, offsets, caplog):
 
 
 def test_the_unit_of_a_phones_field_is_known_and_its_offset_said_once(tmp_path, caplog):
-    pytest.importorskip("vqf", reason="the extra 'odometry' is not installed")
     (said,) = said_of(tmp_path, {"MagnetometerUncalibrated": [200, -150, 300]}, caplog)
     assert "read without the phone's own calibration; expect an offset ('magmatch prepare'): the median field" in said
     assert said_of(tmp_path, {"MagnetometerUncalibrated": [200, -150, 300], "Magnetometer": 0}, caplog) == []

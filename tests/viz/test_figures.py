@@ -50,13 +50,6 @@ def test_a_refused_pose_is_called_so(pair):
     assert "NOT accepted" in after.layout.title.text
 
 
-def test_without_any_pose_only_the_surveys_as_recorded_are_drawn(pair):
-    none = replace(pair.refused, alternatives=(), links=Links(np.zeros((0, 3)), np.zeros((0, 3))))
-    (figure,) = scene_figures(pair.base, pair.target, none)
-    assert len(figure.data) == 2
-    assert len(slice_figures(pair.base_map, pair.target_map, none)) == 1
-
-
 def test_slices_share_one_scale_in_microtesla_and_differ_little_where_both_maps_know_the_field(pair):
     base, target, difference = slice_figures(pair.base_map, pair.target_map, pair.accepted)
     assert (base.data[0].zmin, base.data[0].zmax) == (target.data[0].zmin, target.data[0].zmax)

@@ -4,7 +4,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.viz.figures.agreement_figures import LARGEST_ORDINARY, compare
@@ -54,9 +53,3 @@ def test_the_sensors_difference_is_taken_off(pair):
     plain = compare(pair.base_map, pair.target, result.T_base_target, replace(result, sensor=None))
     mended = compare(pair.base_map, spoiled, result.T_base_target, result)
     np.testing.assert_allclose(mended.measured, plain.measured, atol=1e-15)
-
-
-@pytest.mark.parametrize("n", [50, 10_000])
-def test_only_so_many_samples_are_compared(pair, n):
-    compared = compare(pair.base_map, pair.target, pair.accepted.T_base_target, pair.accepted, n)
-    assert len(compared.rows) == len(compared.normalised) == min(n, len(pair.target))
