@@ -16,8 +16,7 @@ from magmatch.slam.decide import Weighted, by_pass, closure_beside, log_odds_sha
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.loop_closer import LoopCloser
-from magmatch.slam.search.comparison import Candidate
-from magmatch.slam.search.loop_closure import Match
+from magmatch.slam.search.loop_closure import Candidate, Match
 
 HERE = RigidTransform.identity()
 AT_ONCE, NOWHERE = -2.0, -7.0  # log densities of the prior: given the closure, and from nowhere
@@ -72,10 +71,6 @@ def enumerated(windows, steps, revisits):
 def test_the_sums_are_those_of_all_courses(chain):
     for ours, theirs in zip(smooth(*chain, KEEPS_ON), enumerated(*chain), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
-
-
-def test_without_windows_nothing_is_found():
-    assert smooth([], [], [], KEEPS_ON) == []
 
 
 # A window that fits at several poses about one place gives one closure, as uncertain as they differ.

@@ -9,12 +9,11 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.registration.search.retrieval import shortlist
 from magmatch.runner import Runner
-from magmatch.slam import loop_search
 from magmatch.slam.decide import probable_closures
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
-from magmatch.slam.loop_search import MOST_PASSES, LoopSearch
+from magmatch.slam.loop_search import LoopSearch
 
 # Log densities of a prior that knows a place to some hundred metres.
 NOWHERE = -14.0
@@ -41,48 +40,6 @@ def test_a_window_that_may_be_anywhere_votes_for_the_stretch_that_it_lies_on(clo
         assert set(voted) <= set(nodes)
         hits += np.abs(voted - c.first).min() <= 1
     assert hits >= 0.8 * len(closures)
-
-
-def test_a_window_is_compared_with_few_passes(lone, monkeypatch):
-    places = lone.session.places.copied()
-    window, nodes = places.paths[0].windows[7], np.arange(6)
-    monkeypatch.setattr(loop_search, "MOST_PASSES", 2)
-    monkeypatch.setattr(loop_search, "nearby", lambda *_: nodes)
-    search = LoopSearch(places, Runner())
-    search.at([window], [nodes])
-    assert len(search.searched[window.node]) == 2 < len(search.by_submap(nodes, window))
-
-
-def test_what_has_enough_closures_is_not_compared_any_more(lone):
-    places = lone.session.places.copied()
-    closure = next(c for c in places.graph.closures if c.is_kept)
-    window = places.window(closure.second)
-    places.graph.closures = [closure] * MOST_PASSES
-    search = LoopSearch(places, Runner())
-    assert search.near([window]) == [[]]
-    assert not search.searched[window.node]
-
-
-def confirm(places, closures):
-    path, closer = places.paths[0], LoopCloser(places, Runner())
-    return closer.confirm(path.windows, path.nodes, closures, {c.second: NOWHERE for c in closures})
-
-
-def test_a_tie_that_all_windows_speak_for_is_kept(closed):
-    places, closures = closed
-    best = max(closures, key=lambda c: c.log_odds)
-    assert confirm(places, [best]) is not None
-    assert len(places.graph.closures) == 1
-
-
-def test_a_tie_that_the_windows_beside_it_contradict_leaves_the_graph_as_it_was(closed):
-    places, closures = closed
-    best = max(closures, key=lambda c: c.log_odds)
-    ahead = RigidTransform.from_translation([2.5 * places.maker.length, 0.0, 0.0])
-    before = places.graph.p.copy()
-    assert confirm(places, [replace(best, T_first_second=best.T_first_second * ahead)]) is None
-    assert not places.graph.closures
-    np.testing.assert_array_equal(places.graph.p, before)
 
 
 def test_closures_that_agree_are_believed_against_odometry_even_if_each_was_doubted(closed):

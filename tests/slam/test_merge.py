@@ -18,8 +18,7 @@ from magmatch.registration.config import PRESETS
 from magmatch.registration.register import register
 from magmatch.slam import merge as merging
 from magmatch.slam.graph.factors import Closure
-from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.switchable_constraints import surprises
+from magmatch.slam.graph.solve import solve, surprises
 from magmatch.slam.merge import merge
 from magmatch.slam.result import SlamStatus
 from other_process import elsewhere
@@ -173,40 +172,3 @@ def test_what_cannot_be_merged_is_refused_in_one_sentence(surveys, given, error,
 def test_the_published_method_knows_no_covariance(surveys):
     with pytest.raises(ConfigurationError, match="covariance"):
         merge(surveys, PRESETS["paper"])
-
-
-def replace_domain(survey):
-    """Settings of a map of half of a survey's box."""
-    low, high = survey.positions.min(axis=0), survey.positions.max(axis=0)
-    return PRESETS["default"].field.model_copy(update={"domain": (*low, *(low + 0.6 * (high - low)))})
-
-
-@pytest.mark.slow
-def test_an_interrupted_merge_goes_on_where_it_stopped(session, surveys, tmp_path, monkeypatch):
-    made = []
-    register_one = merging.register
-
-    def until(n):
-        def registered(*args, **kwargs):
-            if len(made) == n:
-                raise KeyboardInterrupt
-            made.append(args)
-            return register_one(*args, **kwargs)
-
-        return registered
-
-    monkeypatch.setattr(merging, "register", until(4))
-    with pytest.raises(KeyboardInterrupt):
-        merge(surveys, keep=tmp_path / "kept")
-    monkeypatch.setattr(merging, "register", until(6))
-    again = merge(surveys, keep=tmp_path / "kept")
-    assert len(made) == 6
-    np.testing.assert_array_equal(again.graph.p, session.graph.p)
-    np.testing.assert_array_equal(again.graph.R, session.graph.R)
-    # A pair is known whatever stands beside it, but not from other maps of the same surveys.
-    made.clear()
-    merge(surveys[:2], keep=tmp_path / "kept")
-    assert not made
-    mapped = build_map(surveys[0], replace_domain(surveys[0]))
-    merge([mapped, surveys[1]], keep=tmp_path / "kept")
-    assert len(made) == 1

@@ -5,17 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
-from drifting import Place, drifting_walk, trajectory_error
+from drifting import trajectory_error
 from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.solve import solve
-from magmatch.slam.output.folder import write_folder
-from magmatch.slam.output.kept_session import read_session
-from magmatch.slam.refine import KnownPath, submap_factor
 from magmatch.slam.run import slam
-from magmatch.slam.search.comparison import Candidate
-from magmatch.slam.search.loop_closure import Match
 
 
 def test_laps_are_placed_on_a_map_of_the_earlier_ones_and_on_one_of_the_later_ones(many_laps):
@@ -68,38 +63,6 @@ def test_submap_factors_are_as_far_off_as_they_state(many_laps):
         C = turned[f.node].as_matrix() @ f.covariance[3:, 3:] @ turned[f.node].as_matrix().T
         squares.append(f.part * off @ np.linalg.solve(C[:2, :2], off) / 2)
     assert 0.2 < np.mean(squares) < 2.5
-
-
-def test_errors_of_several_passes_average_out(many_laps):
-    graph, path = many_laps.session.graph, many_laps.session.paths[0]
-    window, C, here = path.windows[-1], 1e-4 * np.eye(6), RigidTransform.identity()
-    submap = KnownPath.of(path, graph).submap(window, graph, later=False)
-    T = graph.pose(submap.best_known).inv() * graph.pose(window.node)
-    found = Candidate(submap.best_known, T, Match(here, C, 12.0, -2.0, here, C))
-
-    def stated(*shares):
-        two = replace(submap, passes=submap.passes[:2], shares=np.array(shares))
-        return submap_factor(found, window.node, two, graph, path).covariance
-
-    of_map = stated(0.0, 0.0)
-    both = stated(1.0, 0.0) + stated(0.0, 1.0) - 2 * of_map
-    np.testing.assert_allclose(stated(0.5, 0.5) - of_map, both / 4, atol=1e-12)
-    assert np.trace(both) > 0
-
-
-def test_a_kept_session_has_its_maps_and_one_more_log_leaves_them_as_they_are(many_laps, tmp_path):
-    write_folder(many_laps.session, tmp_path / "out")
-    other, _ = drifting_walk(Place(2), 2, laps=1.2, start=2.0, name="b.csv")
-    session, new = read_session(tmp_path / "out", [many_laps.log, other])
-    ours, theirs = session.graph.submap_factors, many_laps.session.graph.submap_factors
-    assert [f.node for f in ours] == [f.node for f in theirs]
-    np.testing.assert_allclose(session.graph.p, many_laps.session.graph.p, atol=1e-5)
-    session.add_logs([])  # as a finished command that is run again does
-    assert len(session.graph.submap_factors) == len(theirs)
-    session.add_logs(new)
-    assert session.components == [[0, 1]]
-    for f, g in zip(session.graph.submap_factors, theirs, strict=False):
-        np.testing.assert_array_equal(f.t, g.t)
 
 
 @pytest.mark.slow

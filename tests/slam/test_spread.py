@@ -2,18 +2,13 @@
 """Submaps made and windows compared by workers: what is found is the same, to the bit."""
 
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drifting import Place, drifting_walk
 from magmatch import runner
-from magmatch.runner import Runner
-from magmatch.slam.loop_search import LoopSearch
 from magmatch.slam.run import slam
-from magmatch.slam.search.submaps import TOGETHER
-from magmatch.workers import DaskRunner
 from other_process import elsewhere
 
 
@@ -34,24 +29,6 @@ def test_what_is_sent_away_and_comes_back_gives_the_same_session():
     here = slam(logs)
     assert here.components == [[0, 1]]
     assert_same(slam(logs, run=elsewhere), here)
-
-
-@pytest.mark.slow
-def test_worker_processes_give_the_same_session(lone):
-    pytest.importorskip("distributed")
-    with DaskRunner(jobs=2, ahead=2) as run:
-        assert_same(slam(lone.log, run=run), lone.session)
-
-
-def test_a_submap_is_made_of_what_was_known_when_it_was_first_asked_for(lone):
-    """Its noise tells which pairs of points are listed."""
-    places = lone.session.places.copied()
-    search, nodes = LoopSearch(places, Runner()), places.paths[0].nodes.tolist()
-    asked = [search.submap(node) for node in nodes]
-    assert [asked.index(one) for one in asked] == [node - node % TOGETHER for node in nodes]
-    places.maker.noise = replace(places.maker.noise, misfit_sd=2 * places.maker.noise.misfit_sd)
-    assert [search.submap(node) for node in nodes] == asked
-    assert LoopSearch(places, Runner()).submap(0).key != asked[0].key
 
 
 @pytest.fixture(scope="module")

@@ -48,23 +48,26 @@ def test_biases_are_no_turn_and_do_not_hide_one():
     assert [one for one, *_ in turned_logs([held_sideways(logs[0]), *logs[1:]], 1.0)] == [0]
 
 
-def test_a_turn_as_small_as_misalignment_is_not_told():
-    assert turned_logs([walk(1), held_sideways(walk(2), 15.0)], 1.0) == []
-
-
 def test_logs_that_hardly_meet_tell_no_turn():
     short = held_sideways(walk(2, laps=0.3))
     assert turned_logs([walk(1), short], 1.0) == []
     assert turned_logs([walk(1), replace(held_sideways(walk(2)), positions=walk(2).positions + 50.0)], 1.0) == []
 
 
-def test_fields_that_merely_differ_are_not_turned():
-    assert turned_logs([walk(1), walk(2, place=7)], 1.0) == []
+def vertical(log):
+    return replace(log, field=log.field * [0, 0, 1])
 
 
-def test_a_vertical_field_tells_no_turn():
-    logs = [walk(1), walk(2)]
-    assert turned_logs([replace(log, field=log.field * [0, 0, 1]) for log in logs], 1.0) == []
+@pytest.mark.parametrize(
+    "logs",
+    [
+        lambda: [walk(1), held_sideways(walk(2), 15.0)],  # as small as misalignment
+        lambda: [walk(1), walk(2, place=7)],  # fields that merely differ
+        lambda: [vertical(walk(1)), vertical(walk(2))],
+    ],
+)
+def test_what_is_no_turn_is_not_told(logs):
+    assert turned_logs(logs(), 1.0) == []
 
 
 def test_slam_names_a_log_that_fixed_points_tie_to_the_others(caplog):

@@ -24,8 +24,7 @@ from magmatch.slam.config import COMMON, LEAST_KEPT, SURE, SlamConfig
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.odometry import covariance_beside
 from magmatch.slam.graph.pose_graph import APART, PoseGraph
-from magmatch.slam.search.comparison import Candidate
-from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Match, is_known, log_density
+from magmatch.slam.search.loop_closure import NODE_COVARIANCE, Candidate, Match, is_known, log_density
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Covariance6, Indices, Matrix, Points, Scalars
 
@@ -36,11 +35,7 @@ N_DRAWS = 64
 
 
 def probable_closures(
-    path: Path,
-    candidates: list[list[Candidate]],
-    graph: PoseGraph,
-    paths: Sequence[Path],
-    least: float = LEAST_KEPT,
+    path: Path, candidates: list[list[Candidate]], graph: PoseGraph, paths: Sequence[Path], least: float = LEAST_KEPT
 ) -> list[Closure]:
     """Closures of a log's windows, in their order, with nodes of any log: those more probable than ``least``.
 
@@ -50,11 +45,10 @@ def probable_closures(
     candidates = [sorted(c, key=lambda k: -k.match.log_odds)[:MOST_CANDIDATES] for c in candidates]
     poses = [[product(graph.pose(c.node), c.T_node_window) for c in found] for found in candidates]
     steps = [_log_transition(path.first_node + k, candidates, poses, k, graph) for k in range(len(poses) - 1)]
-    component = graph.component()
-    revisits = [
-        _revisit(window, [c.node for c in found if component[c.node] == component[window.node]], graph)
-        for window, found in zip(path.windows, candidates, strict=True)
-    ]
+    component, revisits = graph.component(), []
+    for window, found in zip(path.windows, candidates, strict=True):
+        beside = np.unique([c.node for c in found if component[c.node] == component[window.node]]).astype(np.int64)
+        revisits.append(SURE if len(beside) and is_known(window, beside, graph) else config.revisit_share)
     shares = smooth([[c.match for c in found] for found in candidates], steps, revisits, config.keeps_on)
     closures = []
     for window, found, at, p in zip(path.windows, candidates, poses, shares, strict=True):
@@ -98,7 +92,7 @@ def smooth(
         steps.append((M, own))
         forward.append(logsumexp(forward[-1][:, None] + M, axis=0) + own)
     found = [np.zeros(0)] * len(windows)
-    backward = np.zeros(len(windows[-1]) + 1) if windows else np.zeros(1)
+    backward = np.zeros(len(windows[-1]) + 1)
     for k in range(len(windows) - 1, -1, -1):
         log_p = forward[k] + backward
         found[k] = np.exp(log_p - logsumexp(log_p))[1:]
@@ -126,11 +120,6 @@ def _log_transition(
     steps = 1 + np.minimum(np.abs(at[i] - at_next[j]), APART)
     S = Q * steps[:, None, None] + C[i] + C_next[j]
     return log_density((T * step).inv()[i] * T_next[j], S, graph.config.drifts).reshape(shape)
-
-
-def _revisit(window: Window, beside: list[int], graph: PoseGraph) -> float:
-    """Probability that a window lies on path of its component where candidates were found."""
-    return SURE if beside and is_known(window, np.unique(beside), graph) else graph.config.revisit_share
 
 
 def same_answer(poses: Sequence[RigidTransform], probabilities: Scalars, window: Window) -> Indices:

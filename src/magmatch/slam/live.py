@@ -21,7 +21,7 @@ from magmatch.runner import Runner
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places, begin, settled
-from magmatch.slam.search.comparison import Candidate
+from magmatch.slam.search.loop_closure import Candidate
 from magmatch.slam.sensor_bias import in_one_calibration
 from magmatch.slam.shared_hyperparameters import N_PARTS
 from magmatch.slam.slam import close_near
@@ -42,10 +42,8 @@ class LiveLog:
     def __init__(self, config: SlamConfig, places: Places | None) -> None:
         self.config, self._run = config, Runner()
         self._closer = None if places is None else LoopCloser(places.copied(), self._run)
-        self._t: list[float] = []
-        self._p: list[Vector3] = []
-        self._R: list[np.ndarray] = []
-        self._b: list[Vector3] = []
+        # Of each sample: time (s), place (m), quaternion, and field (T) in odometry's axes
+        self._samples: list[tuple[float, Vector3, np.ndarray, Vector3]] = []
         self._T_odom_body = RigidTransform.identity()
         self._path: Path | None = None
         # Samples on the way from which the field is learned, and all when there may be so many; earlier logs have
@@ -77,24 +75,19 @@ class LiveLog:
             raise ValueError(msg)
         if (size := float(np.linalg.norm(b))) > MAX_FIELD:
             raise ValueError(too_large(size))
-        if self._t and t <= self._t[-1]:
-            msg = f"expected a time after {told(self._t[-1])} s, that of the sample before, got {told(t)}"
+        if self._samples and t <= (before := self._samples[-1][0]):
+            msg = f"expected a time after {told(before)} s, that of the sample before, got {told(t)}"
             raise ValueError(msg)
-        R = T_odom_body.rotation
-        self._t.append(t)
-        self._p.append(T_odom_body.translation)
-        self._R.append(R.as_quat())
-        self._b.append(R.apply(b))
-        self._T_odom_body = T_odom_body
-        if len(self._t) >= self._next_look and self._learn_field():
+        R, self._T_odom_body = T_odom_body.rotation, T_odom_body
+        self._samples.append((t, T_odom_body.translation, R.as_quat(), R.apply(b)))
+        if len(self._samples) >= self._next_look and self._learn_field():
             return True
         return self._closer is not None and self._walk(self._closer)
 
     def survey(self, first: int = 0) -> Survey:
         """Give all samples, or those from one on."""
-        R = Rotation.from_quat(np.array(self._R[first:]))
-        p, b, t = (np.array(values[first:]) for values in (self._p, self._b, self._t))
-        return Survey(p, b, t, R, name="live")
+        t, p, q, b = map(np.array, zip(*self._samples[first:], strict=True))
+        return Survey(p, b, t, Rotation.from_quat(q), name="live")
 
     def pose(self) -> RigidTransform:
         """Pose of the body in the frame of the log's component, after the last sample; at first odometry's."""
@@ -134,13 +127,13 @@ class LiveLog:
 
     def _walk(self, closer: LoopCloser) -> bool:
         """Finish a window, once it is long enough."""
-        places, here, length = closer.places, self._p[-1], closer.search.maker.length
-        if len(self._t) == 1:
+        places, here, length = closer.places, self._samples[-1][1], closer.search.maker.length
+        if len(self._samples) == 1:
             self._here = here
         if (step := float(np.linalg.norm(here - self._here))) < BIN_LENGTH * length:
             return False  # jitter is no path
         self._walked, self._here = self._walked + step, here
-        if self._walked < self.config.window_length * length or len(self._t) - self._n_cut < 2:
+        if self._walked < self.config.window_length * length or len(self._samples) - self._n_cut < 2:
             return False
         with one_blas_thread():
             if self._path is None:
@@ -153,7 +146,7 @@ class LiveLog:
         return True
 
     def _cut_here(self) -> None:
-        self._n_cut, self._walked, self._here = len(self._t), 0.0, self._p[-1]
+        self._n_cut, self._walked, self._here = len(self._samples), 0.0, self._samples[-1][1]
 
     def _longer(self, path: Path, places: Places) -> Path:
         """Give the path with one window more."""
@@ -163,9 +156,13 @@ class LiveLog:
         known = max(self._n_cut - LOOK_BACK, 0)
         part = in_one_calibration(self.survey(known), 0)
         assert part.orientations is not None
+        assert path.survey.times is not None
+        assert part.times is not None
         shift = part.orientations[0].inv().apply(part.field[0] - path.survey.field[known])
         part = without_bias(part, shift).subset(np.arange(len(part)) >= self._n_cut - known)
-        whole = _joined(path.survey, part)
+        # One clock, which surveys that are merged need not have.
+        times = np.concatenate([path.survey.times, part.times])
+        whole = replace(path.survey.merged(part), name=path.survey.name, times=times)
         step = np.linalg.norm(whole.positions[self._n_cut] - whole.positions[self._n_cut - 1])
         walked = path.walked[-1] + step + walked_along(part, BIN_LENGTH * length)
         middle = int(np.searchsorted(walked, (walked[0] + walked[-1]) / 2))
@@ -202,14 +199,6 @@ class LiveLog:
             closer.learn_drift()
             self._path = closer.places.paths[-1]
             self._next_noise = 2 * len(closer.places.graph.closures)
-
-
-def _joined(before: Survey, after: Survey) -> Survey:
-    """Join the samples of a log and those that follow."""
-    assert before.times is not None
-    assert after.times is not None
-    # One clock, which surveys that are merged need not have.
-    return replace(before.merged(after), name=before.name, times=np.concatenate([before.times, after.times]))
 
 
 def _is_one_slope(field: Vectors, walked: Scalars) -> bool:

@@ -15,11 +15,10 @@ from magmatch.slam.config import LEAST_KEPT, SURE
 from magmatch.slam.decide import log_odds_shared, probable_closures
 from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.learned_drift import learned_drift
-from magmatch.slam.graph.solve import solve
-from magmatch.slam.graph.switchable_constraints import surprise_before
+from magmatch.slam.graph.solve import solve, surprise_before
 from magmatch.slam.loop_search import LoopSearch
 from magmatch.slam.places import Places
-from magmatch.slam.search.comparison import Candidate
+from magmatch.slam.search.loop_closure import Candidate
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices
 
@@ -50,15 +49,17 @@ class LoopCloser:
             for c in probable_closures(path, candidates, graph, self.places.paths, least)
             if c.second not in but and not graph.has_closure(np.array([c.first]), c.second).any()
         ]
-        lost = [c for c in closures if self._is_lost(c)]
+        # Of these the graph does not know which submap the window lies on.
+        half = path.windows[0].path_length / 2
+        lost = [c for c in closures if graph.sds_of_place(np.array([c.first]), c.second)[0] > half]
         closures = [c for c in closures if c not in lost]
         graph.closures = [*graph.closures, *closures]
         if closures:
             solve(graph)
         if lost:
             # Windows that may lie anywhere: all of them must say so.
-            nodes, log_prior = self.places.known_to(path.windows[0]), _log_priors(path, candidates, lost)
-            lost = [] if self.confirm(path.windows, nodes, lost, log_prior) is None else lost
+            nodes = self.places.known_to(path.windows[0])
+            lost = [] if self.confirm(path, candidates, lost, nodes, path.windows) is None else lost
         return len(closures) + len(lost)
 
     def connect(self, path: Path, candidates: list[list[Candidate]], whole: Path | None = None) -> int:
@@ -71,19 +72,27 @@ class LoopCloser:
         for one in sorted({int(component[c.first]) for c in proposed}):
             closures = [c for c in proposed if component[c.first] == one]
             nodes = np.flatnonzero(component == one)
-            near = self.confirm(whole.windows, nodes, closures, _log_priors(path, candidates, closures))
+            near = self.confirm(path, candidates, closures, nodes, whole.windows)
             if near is not None:
                 found += len(closures) + self.close(whole, near, {c.second for c in self.places.graph.closures})
         return found
 
     def confirm(
-        self, windows: Sequence[Window], nodes: Indices, closures: list[Closure], log_prior: dict[int, float]
+        self,
+        path: Path,
+        candidates: list[list[Candidate]],
+        closures: list[Closure],
+        nodes: Indices,
+        windows: Sequence[Window],
     ) -> list[list[Candidate]] | None:
-        """Add closures from nowhere with some nodes if windows say so; gives where these then lie, None if not.
+        """Add closures that candidates of a path propose from nowhere with some nodes, if windows say so.
 
-        ``log_prior``: for each window that proposes a closure, the density of the prior that it was found with.
+        Gives where these then lie, None if they do not.
         """
-        places, before = self.places, self.places.graph
+        places, before, log_prior = self.places, self.places.graph, dict[int, float]()
+        for c in closures:
+            proposed = candidates[c.second - path.first_node]
+            log_prior[c.second] = next(k.match.log_prior for k in proposed if k.node == c.first)
         places.graph = graph = before.copied()
         graph.closures = [*graph.closures, *closures]
         solve(graph)
@@ -97,12 +106,13 @@ class LoopCloser:
 
     def learn_noise(self) -> None:
         """Learn the noise that does not repeat from closures, and where the graph alone says what is passed again."""
-        maker, stretches = self.search.maker, [s for s in self.search.repeats() if len(s.positions) >= MIN_BINS]
+        stretches = [s for s in self.search.repeats() if len(s.positions) >= MIN_BINS]
         if len(stretches) < PRIOR_STRETCHES:
             return
-        maker.noise = most_likely(maker.noise, stretches, MAPS_OWN)
+        noise = most_likely(self.search.maker.noise, stretches, MAPS_OWN)
+        self.places.maker = replace(self.search.maker, noise=noise)
         self.search.weigh_anew()
-        log.info("noise learned from %d closures: %s", len(stretches), maker.noise)
+        log.info("noise learned from %d closures: %s", len(stretches), noise)
 
     def learn_drift(self) -> None:
         """Learn how far odometry drifts from how well its closures agree with it, and solve with that.
@@ -122,14 +132,3 @@ class LoopCloser:
         """Log odds of the closures that the graph keeps, over that nothing was passed twice, nats."""
         closures = self.places.graph.as_arrays
         return float(closures.odds[closures.is_kept].sum())
-
-    def _is_lost(self, closure: Closure) -> bool:
-        """Whether the graph does not know which submap a closure's window lies on."""
-        half = self.places.window(closure.second).path_length / 2
-        return bool(self.places.graph.sds_of_place(np.array([closure.first]), closure.second)[0] > half)
-
-
-def _log_priors(path: Path, candidates: list[list[Candidate]], closures: list[Closure]) -> dict[int, float]:
-    """For each window that proposes a closure, the density of the prior at its pose."""
-    found = {c.second: candidates[c.second - path.first_node] for c in closures}
-    return {c.second: next(k.match.log_prior for k in found[c.second] if k.node == c.first) for c in closures}

@@ -12,9 +12,20 @@ from magmatch.registration.search.retrieval import count_votes, shortlist
 from magmatch.runner import Runner, Shared
 from magmatch.slam.config import MOST_PASSES
 from magmatch.slam.places import Places
-from magmatch.slam.search.comparison import Candidate, Found, Search, Searched, compare
-from magmatch.slam.search.loop_closure import Anywhere, Match, is_known, nearby, residuals
-from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, submap_of, table_of, volume_of
+from magmatch.slam.search.loop_closure import (
+    Anywhere,
+    Candidate,
+    Found,
+    Match,
+    Rough,
+    compare,
+    expected_beside,
+    is_known,
+    nearby,
+    residuals,
+)
+from magmatch.slam.search.searched import Searched, distinct_candidates
+from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, table_of, volume_of
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices
 from magmatch.workers import Task
@@ -65,22 +76,42 @@ class LoopSearch:
 
         None of them waits for what is found of another, so all are compared at once; ``what`` tells progress.
         """
-        graph = self.places.graph
-        near = [self.by_submap(nearby(w, some, graph), w) for w, some in zip(windows, nodes, strict=True)]
-        submaps = {a: self.submap(a) for some in near for a in some}
-        searches = [
-            Search.of(w, self._most_voted(w, some), self.searched.setdefault(w.node, {}), graph)
-            for w, some in zip(windows, near, strict=True)
-        ]
-        pairs = [(k, a) for k, search in enumerate(searches) for a in search.open]
-        tasks = [searches[k].comparison(a, submaps[a], self.maker.noise) for k, a in pairs]
-        compared: list[dict[int, Found]] = [{} for _ in searches]
-        for (k, a), matches in zip(pairs, self.run(compare, tasks, what), strict=True):
-            compared[k][a] = matches
-        found = []
-        for search, by_submap in zip(searches, compared, strict=True):
-            found.append(search.candidates(by_submap, graph))
-            self.searched[search.window.node].update(search.done(found[-1]))
+        graph, expected, pairs, tasks = self.places.graph, list[dict[int, Rough]](), [], []
+        near = [self._by_likely_submap(nearby(w, some, graph), w) for w, some in zip(windows, nodes, strict=True)]
+        for w, by_submap in zip(windows, near, strict=True):
+            known = self.searched.setdefault(w.node, {})
+            expected.append(expected_beside(w, np.array(list(by_submap), np.int64), graph))
+            for a, rough in expected[-1].items():
+                # What was searched before is not searched again, and where it still stands it is not weighed either.
+                if a in known and not known[a].holds(rough, by_submap[a], w):
+                    del known[a]
+                if a not in known or not known[a].stands(rough, w):
+                    poses = [c.match.T_base_log for c in known[a].found] if a in known else None
+                    name = f"the comparison of window {w.node} with windows {a} and after"
+                    pairs.append((w.node, a))
+                    tasks.append(Task(name, (w, self.submap(a), rough, self.maker.noise, poses, by_submap[a])))
+        compared = dict(zip(pairs, self.run(compare, tasks, what), strict=True))
+        about = zip(windows, near, expected, strict=True)
+        return [self._found(w, by_submap, rough, compared) for w, by_submap, rough in about]
+
+    def _found(
+        self,
+        window: Window,
+        near: dict[int, Indices],
+        expected: dict[int, Rough],
+        compared: dict[tuple[int, int], Found],
+    ) -> list[Candidate]:
+        """Candidates of a window on submaps near it, by what was found there now or stands; this is noted."""
+        graph, known = self.places.graph, self.searched[window.node]
+        opened = [a for a in expected if (window.node, a) in compared]
+        some = {a: known[a].found for a in expected if a not in opened}
+        for a in opened:
+            beside = compared[window.node, a]
+            some[a] = [Candidate.beside(node, match, window, graph.center(node)) for node, match in beside]
+        found = distinct_candidates((c for a in expected for c in some[a]), graph, window.length)
+        for a in opened:
+            before = known.get(a, Searched(near[a], expected[a], None, []))
+            known[a] = replace(before, weighed=expected[a], found=[c for c in found if c.node in near[a]])
         return found
 
     def anywhere(self, windows: Sequence[Window], path: Path, what: str | None = None) -> list[list[Candidate]]:
@@ -97,15 +128,24 @@ class LoopSearch:
     def submap(self, node: int) -> Shared[Submap]:
         """The submap that is made for a node's window, odometry's frame."""
         path = self.places.path(node)
-        first = submap_of(node, path.first_node)
+        first = node - (node - path.first_node) % TOGETHER
         if first not in self._submaps:
             self._submaps[first] = self.maker.piece(path, first)
         return self._submaps[first]
 
+    def _by_likely_submap(self, nodes: Indices, window: Window) -> dict[int, Indices]:
+        """Nodes by submap, as `by_submap`; of many submaps, those with most votes."""
+        submaps = self.by_submap(nodes, window)
+        if len(submaps) <= MOST_PASSES:
+            return submaps
+        listed, votes = list(submaps), self.votes(window, list(submaps))
+        likely = shortlist(np.array([votes[a] for a in listed]))[:MOST_PASSES]
+        return {listed[k]: submaps[listed[k]] for k in likely}
+
     def by_submap(self, nodes: Indices, window: Window) -> dict[int, Indices]:
         """Nodes by the first node of the submap that is made for them, if that ends before a window."""
         logs = self.places.graph.log[nodes]
-        firsts = submap_of(nodes, np.array([path.first_node for path in self.places.paths])[logs])
+        firsts = nodes - (nodes - np.array([path.first_node for path in self.places.paths])[logs]) % TOGETHER
         ends_before = (logs != window.log) | (firsts + TOGETHER < window.node)
         return {a: nodes[firsts == a] for a in np.unique(firsts[ends_before]).tolist()}
 
@@ -123,14 +163,6 @@ class LoopSearch:
             counted = count_votes(tables, window.survey, self.places.graph.config.search, 0)
             voted.update(zip(new, counted.tolist(), strict=True))
         return voted
-
-    def _most_voted(self, window: Window, submaps: dict[int, Indices]) -> dict[int, Indices]:
-        """The submaps that a window is compared with: of many, those with most votes."""
-        if len(submaps) <= MOST_PASSES:
-            return submaps
-        listed, votes = list(submaps), self.votes(window, list(submaps))
-        likely = shortlist(np.array([votes[a] for a in listed]))[:MOST_PASSES]
-        return {listed[k]: submaps[listed[k]] for k in likely}
 
     def _whole_logs(self, paths: Sequence[Path]) -> tuple[list[Shared[Submap]], float]:
         """Whole logs, as the graph had them with as many closures as it has now, and their volume together, m^3."""

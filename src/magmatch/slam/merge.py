@@ -28,10 +28,10 @@ from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.places import Places
-from magmatch.slam.session import Session, names_of, require_distinct
+from magmatch.slam.session import Session, require_distinct, unique_stems
 from magmatch.slam.windows import Path, Window, mean_field
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Covariance6, Points, Vector3
+from magmatch.typing import Covariance6, Points
 from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
@@ -44,6 +44,8 @@ Registered = tuple[RigidTransform, Covariance6, float]
 SAME_FIELD, SAME_PLACE = 1e-13, 1e-6
 # Trees of closures tried for a start.
 N_TREES = 64
+# Surveys have no odometry, and lie anyhow.
+RIGID = SlamConfig(is_gravity_aligned=False)
 
 
 def merge(
@@ -81,17 +83,23 @@ def merge(
     SurveyError
         A survey holds NaN, impossible values or too few samples.
     """
-    config, given = settings_of(config), _several(surveys)
+    config = settings_of(config)
+    expect_kind(surveys, "surveys", (list, tuple), {"Survey": "merge([a, b, c]) takes several"})
+    if len(surveys) < 2:
+        msg = f"expected at least two surveys to merge, got {len(surveys)}"
+        raise ValueError(msg)
+    for k, survey in enumerate(surveys):
+        require_target(survey, f"surveys[{k}]")
     whole_number_of(seed, "seed")
     if config.search == "keypoints":
         msg = "merge: the published method states no covariance, which the graph needs; take another preset"
         raise ConfigurationError(msg)
-    samples, clock = [survey_of(survey) for survey in given], Clock()
+    samples, clock = [survey_of(survey) for survey in surveys], Clock()
     require_distinct(samples)
-    _warn_of_shared_logs(given)
+    _warn_of_shared_logs(surveys)
     with followed(progress), one_blas_thread(), Runner(run, keep) as runner:
         with clock("maps"):
-            maps = [as_map(survey, config.field) for survey in counted("mapping", given)]
+            maps = [as_map(survey, config.field) for survey in counted("mapping", surveys)]
         paths = [_rigid(survey, k) for k, survey in enumerate(samples)]
         graph = _unconnected(np.stack([survey.centroid for survey in samples]))
         with clock("registration"):
@@ -99,20 +107,18 @@ def merge(
         with clock("graph"):
             _lay_out(graph)
             solve(graph)
-    return Session(config, samples, Places(paths, graph, graph.config), clock.seconds(), seed, is_rigid=True)
+    return Session(config, samples, Places(paths, graph, RIGID, is_rigid=True), clock.seconds(), seed)
 
 
 def _warn_of_shared_logs(given: Sequence[Survey | FieldMap]) -> None:
     """Say so where two maps were made from a log in common: its samples agree with themselves, and count twice."""
-    logs = [[(survey.name, _steps_of(survey)) for survey in _logs_of(one)] for one in given]
-    for a, b in combinations(range(len(given)), 2):
+    steps = [[(survey.name, _steps_of(survey)) for survey in _logs_of(one)] for one in given]
+    for (a, of_a), (b, of_b) in combinations(zip(given, steps, strict=True), 2):
         # Each map leaves out a few outliers of its own.
-        pairs = (n for (n, x), (_, y) in product(logs[a], logs[b]) if 2 * len(x & y) > min(len(x), len(y)))
-        if (both := next(pairs, None)) is not None:
-            names = [survey_of(given[k]).name for k in (a, b)]
-            log.warning(
-                "%s and %s hold the same samples (%s): these count twice, and agree with themselves", *names, both
-            )
+        both = [name for (name, x), (_, y) in product(of_a, of_b) if 2 * len(x & y) > min(len(x), len(y))]
+        if both:
+            said = "%s and %s hold the same samples (%s): these count twice, and agree with themselves"
+            log.warning(said, survey_of(a).name, survey_of(b).name, both[0])
 
 
 def _steps_of(survey: Survey) -> set[bytes]:
@@ -132,28 +138,23 @@ def _logs_of(one: Survey | FieldMap) -> list[Survey]:
     return [replace(part, name=survey.name) for part, survey in zip(parts, one.surveys, strict=True)]
 
 
-def _several(surveys: Sequence[Survey | FieldMap]) -> list[Survey | FieldMap]:
-    expect_kind(surveys, "surveys", (list, tuple), {"Survey": "merge([a, b, c]) takes several"})
-    if len(surveys) < 2:
-        msg = f"expected at least two surveys to merge, got {len(surveys)}"
-        raise ValueError(msg)
-    for k, survey in enumerate(surveys):
-        require_target(survey, f"surveys[{k}]")
-    return list(surveys)
-
-
 def _register_pairs(
     maps: Sequence[FieldMap], samples: Sequence[Survey], config: RegistrationConfig, seed: int, run: Runner
 ) -> list[Closure]:
     """Closures between all pairs that registration accepts."""
-    pairs, names = list(combinations(range(len(maps)), 2)), names_of(samples)
+    pairs, names = list(combinations(range(len(maps)), 2)), unique_stems([survey.name for survey in samples])
     bases = [Shared(prepare_index, (one, config), len(survey)) for one, survey in zip(maps, samples, strict=True)]
     tasks = [Task(f"{names[a]} and {names[b]}", (bases[a], maps[b], config, seed)) for a, b in pairs]
     closures: list[Closure] = []
     for (a, b), found in zip(pairs, run(_register, tasks, "registering pairs"), strict=True):
         log.info("%s and %s: %s", names[a], names[b], "not connected" if found is None else "connected")
-        if found is not None:
-            closures.append(_closure(a, b, found, samples[a].centroid, samples[b].centroid))
+        if found is None:
+            continue
+        T_base_target, covariance, probability = found
+        # Between centroids: about its frame's origin, far away, a turn would be a shift.
+        T_a, T_b = (RigidTransform.from_translation(x) for x in (-samples[a].centroid, samples[b].centroid))
+        p, C = min(probability, 1 - LEAST_ERROR), covariance_about(covariance, samples[b].centroid)
+        closures.append(Closure(a, b, T_a * T_base_target * T_b, C, float(np.log(p / (1 - p)))))
     return closures
 
 
@@ -169,20 +170,10 @@ def _register(base: MapIndex, target: FieldMap, config: RegistrationConfig, seed
     return result.T_base_target, result.covariance, result.probability
 
 
-def _closure(a: int, b: int, found: Registered, center_a: Vector3, center_b: Vector3) -> Closure:
-    """A registration as a closure between centroids: about its frame's origin, far away, a turn would be a shift."""
-    T_base_target, covariance, probability = found
-    T = RigidTransform.from_translation(-center_a) * T_base_target * RigidTransform.from_translation(center_b)
-    p = min(probability, 1 - LEAST_ERROR)
-    odds = float(np.log(p / (1 - p)))
-    return Closure(a, b, T, covariance_about(covariance, center_b), odds)
-
-
 def _rigid(survey: Survey, k: int) -> Path:
     """A survey as one window, its node at the centroid."""
     walked = path_walked(survey.positions)
-    config = SlamConfig(is_gravity_aligned=False)
-    window = Window(k, k, survey, survey.centroid, max(float(walked[-1]), 1e-9), config, mean_field(survey))
+    window = Window(k, k, survey, survey.centroid, max(float(walked[-1]), 1e-9), RIGID, mean_field(survey))
     number, none = np.zeros(len(survey), np.int64), np.zeros(0, np.int64)
     return Path(survey, walked, number, (window,), np.zeros(1, np.int64), k, none)
 
@@ -190,8 +181,7 @@ def _rigid(survey: Survey, k: int) -> Path:
 def _unconnected(centers: Points) -> PoseGraph:
     """A node for each survey, without odometry."""
     n = len(centers)
-    config = SlamConfig(is_gravity_aligned=False)
-    return PoseGraph(config, np.tile(np.eye(3), (n, 1, 1)), centers.copy(), np.arange(n))
+    return PoseGraph(RIGID, np.tile(np.eye(3), (n, 1, 1)), centers.copy(), np.arange(n))
 
 
 def _lay_out(graph: PoseGraph) -> None:

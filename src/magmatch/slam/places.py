@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.checks import extent
 from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
+from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.sensor_biases import without_bias
 from magmatch.preparation.odometry.drift import FACTORS, lie_level
 from magmatch.progress import tell
@@ -23,13 +25,15 @@ from magmatch.slam.graph.trajectories import moved
 from magmatch.slam.search.loop_closure import earlier_passes
 from magmatch.slam.search.submaps import SubmapMaker
 from magmatch.slam.sensor_bias import in_one_calibration, sensor_bias
-from magmatch.slam.shared_hyperparameters import N_PARTS, guessed_noise, shared_hyperparameters
+from magmatch.slam.shared_hyperparameters import N_PARTS, shared_hyperparameters
 from magmatch.slam.windows import Path, Window, cut
 from magmatch.typing import Indices, Points, Vector3
 
 log = logging.getLogger(__name__)
 
-NO_BIAS = (np.zeros(3), np.zeros(3))
+# Of a magnetometer in its own axes, and sd, T.
+Bias = tuple[Vector3, Vector3]
+NO_BIAS: Bias = (np.zeros(3), np.zeros(3))
 
 
 @dataclass(eq=False, slots=True)
@@ -40,15 +44,14 @@ class Places:
     graph: PoseGraph
     stated: SlamConfig
     maker: SubmapMaker | None = None  # None if the field is constant and tells no places apart
-    # List of (bias, sd): of each log's magnetometer, in its own axes, T
-    biases: list[tuple[Vector3, Vector3]] = field(default_factory=list)
+    biases: list[Bias] = field(default_factory=list)  # of each log's magnetometer
     # List of (Anchor, int): fixed points, and the log that passed each
     anchors: list[tuple[Anchor, int]] = field(default_factory=list)
+    is_rigid: bool = False  # whether each log is one node: merged, not corrected
 
     def copied(self) -> "Places":
         """Copy it, to continue without changing this one."""
-        maker = None if self.maker is None else replace(self.maker)
-        return Places(list(self.paths), self.graph.copied(), self.stated, maker, list(self.biases), self.anchors)
+        return replace(self, paths=list(self.paths), graph=self.graph.copied(), biases=list(self.biases))
 
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
@@ -59,9 +62,10 @@ class Places:
             self.stated = self.stated.model_copy(update={"is_planar": False})
             self.take_drift(self.graph.config.model_copy(update={"is_planar": False}))
         survey = in_one_calibration(survey)
-        bias = sensor_bias(survey, self.maker.hyperparameters, self.maker.config)
+        config = self.graph.config
+        bias = sensor_bias(survey, self.maker.hyperparameters, config)
         unbiased = without_bias(survey, bias[0])
-        (path,) = cut([unbiased], self.maker.length, self.maker.config, len(self.paths), len(self.graph.p))
+        (path,) = cut([unbiased], self.maker.length, config, len(self.paths), len(self.graph.p))
         self.biases.append(bias)
         self.paths.append(path)
         self.solve()
@@ -70,14 +74,13 @@ class Places:
     def solve(self) -> None:
         """Find the poses of all nodes, those of the last log's new windows too."""
         follow(self.paths[-1], self.graph)
-        if self.anchors:
-            self.graph.fixed = fixed_points(self.anchors, self.paths)
+        if here := [(anchor, log) for anchor, log in self.anchors if log < len(self.paths)]:
+            self.graph.fixed = fixed_points(here, self.paths)  # others have yet to be added
         solve(self.graph)
 
     def take_drift(self, config: SlamConfig) -> None:
         """Take odometry to drift otherwise, and solve with that."""
-        assert self.maker is not None
-        self.maker.config = self.graph.config = config
+        self.graph.config = config
         self.paths = [replace(p, windows=tuple(replace(w, config=config) for w in p.windows)) for p in self.paths]
         self.graph.edges = odometry_graph(self.paths, config).edges
         self.solve()
@@ -98,6 +101,16 @@ class Places:
         """The window of a node."""
         path = self.path(node)
         return path.windows[node - path.first_node]
+
+    def body_at(self, node: int) -> tuple[RigidTransform, float | None, float]:
+        """Body in the axes of a node, when it was there, and how far it had walked; of a rigid survey, its frame."""
+        path = self.path(node)
+        if self.is_rigid:
+            return self.window(node).T_log_node.inv(), None, 0.0
+        at, survey = int(path.middles[node - path.first_node]), path.survey
+        R = Rotation.identity() if survey.orientations is None else survey.orientations[at]
+        t = None if survey.times is None else float(survey.times[at])
+        return RigidTransform.from_rotation(R), t, float(path.walked[at])
 
     def known_to(self, window: Window) -> Indices:
         """Earlier nodes that share a window's frame."""
@@ -124,10 +137,8 @@ def settled(given: Sequence[Survey], config: SlamConfig) -> SlamConfig:
     is_level = lie_level(given)
     if config.is_planar and not is_level:
         z = np.concatenate([survey.positions[:, 2] for survey in given])
-        log.warning(
-            "stated as planar, but heights go from %.2f to %.2f m, or bodies lean: unstated, both are estimated",
-            z.min(), z.max(),
-        )  # fmt: skip
+        words = "stated as planar, but heights go from %.2f to %.2f m, or bodies lean: unstated, both are estimated"
+        log.warning(words, z.min(), z.max())
     if not config.is_gravity_aligned or config.is_planar or not is_level:
         return config
     log.info("all poses lie at one height: taken as planar")
@@ -138,21 +149,22 @@ def begin(
     given: Sequence[Survey], config: SlamConfig, anchors: Sequence[tuple[Anchor, int]] = (), n_parts: int = N_PARTS
 ) -> Places:
     """Cut logs into windows, where odometry has them; the field's length is learned from so many parts."""
+    maker, biases = None, [NO_BIAS] * len(given)
     if all(survey.field.std(axis=0).max() < RESOLVED for survey in given):
         # Nothing tells places apart, and the field has no length.
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
-        return _solved(Places(paths, odometry_graph(paths, config), config, None, [NO_BIAS] * len(given), [*anchors]))
-    tell("learning how the field changes")
-    given = [in_one_calibration(survey) for survey in given]
-    hyperparameters, length, measured = shared_hyperparameters(given, n_parts)
-    biases = [sensor_bias(survey, hyperparameters, config) for survey in given]
-    paths = cut([without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)], length, config)
-    n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
-    log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
-    maker = SubmapMaker(hyperparameters, measured, guessed_noise(hyperparameters, length), length, config)
-    return _solved(Places(paths, odometry_graph(paths, config), config, maker, biases, [*anchors]))
-
-
-def _solved(places: Places) -> Places:
+    else:
+        tell("learning how the field changes")
+        given = [in_one_calibration(survey) for survey in given]
+        h, length, measured = shared_hyperparameters(given, n_parts)
+        biases = [sensor_bias(survey, h, config) for survey in given]
+        unbiased = [without_bias(survey, bias) for survey, (bias, _) in zip(given, biases, strict=True)]
+        paths = cut(unbiased, length, config)
+        n_windows, walked = sum(len(p.windows) for p in paths), config.window_length * length
+        log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
+        # A guess of the field that does not repeat from walk to walk, before any two were compared.
+        noise = PathNoise.guess(length, 0.25 * h.signal_sd, 0.25 * h.noise_sd, 0.1 * h.signal_sd)
+        maker = SubmapMaker(h, measured, noise, length, config.search)
+    places = Places(paths, odometry_graph(paths, config), config, maker, biases, [*anchors])
     places.solve()
     return places

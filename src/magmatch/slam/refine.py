@@ -7,21 +7,18 @@ Passes of one log only: where several sensors contradict each other, a map of al
 """
 
 import logging
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
 from scipy.special import expit, logit
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.walk import BIN_LENGTH, bin_along_path, bin_means
-from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import product, rotation_matrix
-from magmatch.progress import counted
-from magmatch.runner import Runner
+from magmatch.runner import Runner, Shared
 from magmatch.slam.config import LEAST_KEPT, MOST_PASSES, SURE
 from magmatch.slam.decide import off_level
 from magmatch.slam.graph.factors import SubmapFactor
@@ -30,12 +27,10 @@ from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.solve import solve
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.places import Places
-from magmatch.slam.search.comparison import Candidate, Found, compare
-from magmatch.slam.search.loop_closure import SAME_SHIFT, Rough, expected_beside
+from magmatch.slam.search.loop_closure import SAME_SHIFT, Candidate, compare, expected_beside
 from magmatch.slam.search.submaps import make_submap
 from magmatch.slam.windows import Path, Window
-from magmatch.threads import single_threaded
-from magmatch.typing import Indices, Points, Scalars, Vectors
+from magmatch.typing import Indices, Scalars
 from magmatch.workers import Task
 
 log = logging.getLogger(__name__)
@@ -57,23 +52,17 @@ class JointSubmap:
     best_known: int  # the node relative to which the window's place is known best
 
 
-@dataclass(frozen=True, eq=False, slots=True)
 class KnownPath:
-    """Means of a log along its path."""
+    """Means of a log along its path, as the graph has it now."""
 
-    positions: Points  # (n, 3), m: frame of the log's component
-    field: Vectors  # (n, 3), T
-    node: Indices  # (n,)
-    n_averaged: float  # samples of a mean, in the median
-
-    @classmethod
-    def of(cls, path: Path, graph: PoseGraph) -> "KnownPath":
-        """Average a log along its path, as the graph has it now."""
-        side = BIN_LENGTH * path.windows[0].length
-        survey, rows = corrected(path, graph), bin_along_path(np.ascontiguousarray(path.survey.positions), side)
-        node = path.nodes[path.number[np.unique(rows, return_index=True)[1]]]
-        n = float(np.median(np.bincount(rows)))
-        return cls(bin_means(survey.positions, rows), bin_means(survey.field, rows), node, n)
+    def __init__(self, path: Path, graph: PoseGraph) -> None:
+        survey, side = corrected(path, graph), BIN_LENGTH * path.windows[0].length
+        rows = bin_along_path(np.ascontiguousarray(path.survey.positions), side)
+        # In the frame of the log's component, (n, 3), m and T; and the node of each mean
+        self.positions, self.field = bin_means(survey.positions, rows), bin_means(survey.field, rows)
+        self.node = path.nodes[path.number[np.unique(rows, return_index=True)[1]]]
+        # Samples of a mean, in the median
+        self.n_averaged = float(np.median(np.bincount(rows)))
 
     def submap(self, window: Window, graph: PoseGraph, *, later: bool) -> JointSubmap | None:
         """Submap of a window, of earlier or of later passes; none if there are fewer than two.
@@ -151,44 +140,22 @@ def refine(places: Places, paths: Sequence[Path], run: Runner) -> None:
 
 def _factors(places: Places, path: Path, run: Runner, *, later: bool) -> Iterator[SubmapFactor]:
     """Factors of a log's windows with its earlier passes, or with its later ones."""
-    known, graph, asked = KnownPath.of(path, places.graph), places.graph, deque[tuple[Window, JointSubmap]]()
-
-    def tasks() -> Iterator[Task]:
-        what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
-        for window in counted(what, [window for window in path.windows if window.keeps_shape]):
-            if (submap := known.submap(window, graph, later=later)) is not None:
-                asked.append((window, submap))
-                yield _comparison(window, submap, places, known.n_averaged)
-
-    for found in run(compare_with_passes, tasks()):
-        window, submap = asked.popleft()
+    graph, maker, known = places.graph, places.maker, KnownPath(path, places.graph)
+    assert maker is not None
+    # Means measure what lies between them, of which the submap of a single pass has its prior alone.
+    noise_sd = maker.hyperparameters.noise_sd / float(np.sqrt(known.n_averaged))
+    hyperparameters, nowhere = replace(maker.hyperparameters, noise_sd=noise_sd), list[RigidTransform]()
+    asked, tasks = [], []
+    for window in path.windows:
+        if window.keeps_shape and (submap := known.submap(window, graph, later=later)) is not None:
+            about = (submap.survey, submap.node, hyperparameters, maker.noise, maker.length, None)
+            expected = expected_beside(window, np.array([submap.best_known]), graph)[submap.best_known]
+            arguments = (window, Shared(make_submap, about, len(submap.node)), expected, maker.noise, nowhere)
+            asked.append((window, submap))
+            tasks.append(Task(f"window {window.node} on a map of several passes", arguments))
+    what = f"placing {path.survey.name} on the map of its own {'later' if later else 'earlier'} passes"
+    for (window, submap), found in zip(asked, run(compare, tasks, what), strict=True):
         if found:
             candidate = Candidate.beside(submap.best_known, found[0][1], window, graph.center(submap.best_known))
             if (factor := submap_factor(candidate, window.node, submap, graph, path)) is not None:
                 yield factor
-
-
-def _comparison(window: Window, submap: JointSubmap, places: Places, n_averaged: float) -> Task:
-    """Look for a window on its submap near where the graph has it; each sample is a mean of so many."""
-    maker, best = places.maker, submap.best_known
-    assert maker is not None
-    # They measure what lies between them, of which the submap of a single pass has its prior alone.
-    of_samples = maker.hyperparameters
-    hyperparameters = replace(of_samples, noise_sd=of_samples.noise_sd / float(np.sqrt(n_averaged)))
-    expected = expected_beside(window, np.array([best]), places.graph)[best]
-    arguments = (window, submap.survey, submap.node, hyperparameters, expected, maker.noise, maker.length)
-    return Task(f"window {window.node} on a map of several passes", arguments)
-
-
-@single_threaded
-def compare_with_passes(
-    window: Window,
-    survey: Survey,
-    node: Indices,
-    hyperparameters: Hyperparameters,
-    expected: Rough,
-    noise: PathNoise,
-    length: float,
-) -> Found:
-    """Poses of a window near the expected one, on one map of samples of several passes."""
-    return compare(window, make_submap(survey, node, hyperparameters, noise, length, None), expected, noise, [])

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The session of slam and merge: logs and their graph."""
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,14 +8,15 @@ from pathlib import Path as FilePath
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.special import chdtri
 
 from magmatch._version import __version__
 from magmatch.arguments import expect_kind, whole_number_of
 from magmatch.brief import brief
 from magmatch.data.checks import require_walk
 from magmatch.data.fingerprint import describe_input
+from magmatch.data.geodesy import Origin
 from magmatch.data.survey import Survey
+from magmatch.data.survey_columns import frame_about
 from magmatch.errors import SurveyError
 from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE, FieldConfig
@@ -26,44 +26,20 @@ from magmatch.registration.clock import Clock
 from magmatch.runner import Runner, Workers
 from magmatch.settings import Settings
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.anchors import (
-    Anchor,
-    in_metres,
-    of_logs,
-    read_anchors,
-    warn_of_a_mirrored_plan,
-    waypoints_of,
-)
+from magmatch.slam.graph.anchors import Anchor, points_passed
 from magmatch.slam.graph.odometry import covariance_of_end
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.graph.solve import most_contradicted
-from magmatch.slam.graph.switchable_constraints import MOST_BENT, strains
+from magmatch.slam.graph.solve import warn_of_a_wrong_point
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.live import LiveLog
 from magmatch.slam.loop_search import KINDS
-from magmatch.slam.places import Places, settled
-from magmatch.slam.result import DriftResult, LogResult, SlamResult, SlamStatus
+from magmatch.slam.places import NO_BIAS, Bias, Places, settled
+from magmatch.slam.result import LogResult, SlamResult, SlamStatus
 from magmatch.slam.slam import correct, correct_more
-from magmatch.slam.statement import (
-    Bias,
-    bent_window,
-    biases_in_maps,
-    explain,
-    frame_of,
-    guessed_drift,
-    place_and_turn,
-    state_anchors,
-    state_closure,
-    state_odometry,
-)
+from magmatch.slam.statement import explain, place_and_turn, state_anchors, state_closures, state_odometry
 from magmatch.slam.turned_fields import warn_of_turned_fields
 from magmatch.slam.windows import Path
 from magmatch.typing import Indices, Vector3
-
-log = logging.getLogger(__name__)
-
-# Squared residual of a fixed point that one right one in a thousand exceeds.
-SURPRISING = float(chdtri(3, 1e-3))
 
 
 @dataclass(eq=False)
@@ -81,8 +57,6 @@ class Session:
     seconds : dict
         Per stage and total.
     seed : int
-    is_rigid : bool
-        Whether each log is one node: merged, not corrected.
 
     Examples
     --------
@@ -95,7 +69,6 @@ class Session:
     places: Places | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     seed: int = 0
-    is_rigid: bool = False
     _live: LiveLog | None = field(default=None, init=False, repr=False)
     _maps: dict[int, FieldMap] = field(default_factory=dict, init=False, repr=False)
 
@@ -132,25 +105,14 @@ class Session:
             require_walk(survey)
         given = [*self.given, *logs]
         require_distinct(given)
-        listed = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
-        for k, anchor in enumerate(listed):
-            expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.Anchor")
-        before = [a for a, _ in earlier.anchors] if earlier else []
-        if waypoints:
-            is_tied = config.origin is not None or all(a.in_degrees for a in (*listed, *before))
-            listed += waypoints_of(logs, names_of(given)[len(self.given) :], is_tied=is_tied)
-        listed, origin = in_metres(listed, config.origin, before)
+        names, n_known = unique_stems([survey.name for survey in given]), len(self.given)
+        before = earlier.anchors if earlier else []
+        fixed, origin = points_passed(anchors, given, names, n_known, before, config.origin, waypoints=waypoints)
         config = config.model_copy(update={"origin": origin})
-        # Those of before may be given again.
-        known = set() if earlier is None else {(of, a.numbers) for a, of in earlier.anchors}
-        passed = of_logs(listed, given, names_of(given))
-        fixed = [(a, of) for a, of in passed if (of, a.numbers) not in known]
-        warn_of_a_mirrored_plan(fixed, given)
-        if earlier is None or earlier.maker is None:
-            config = settled(given, config)
         with followed(progress), Runner(run, keep, KINDS) as runner:
             if earlier is None or earlier.maker is None:
-                places = correct(given, config, [*(earlier.anchors if earlier else ()), *fixed], runner, clock)
+                config = settled(given, config)
+                places = correct(given, config, [*before, *fixed], runner, clock)
             else:
                 places = correct_more(earlier, logs, fixed, runner, clock)
         places.stated = places.stated.model_copy(update={"origin": origin})
@@ -158,17 +120,9 @@ class Session:
         self.given, self.places = given, places
         self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
         self._changed()
-        self._warn_of_a_wrong_point()
+        warn_of_a_wrong_point(places.graph, [anchor.source for anchor, _ in places.anchors])
         if places.maker is not None and config.is_gravity_aligned:
-            n_known = len(given) - len(logs)
             warn_of_turned_fields(self.trajectories, self.components, places.maker.length, n_known)
-
-    def _warn_of_a_wrong_point(self) -> None:
-        """Name the fixed point without which all else agrees best, where they contradict each other or the log."""
-        if np.max(self.graph.surprise_of_fixed(), initial=0.0) > SURPRISING:
-            k, far = most_contradicted(self.graph)
-            said = "the fixed point of %s lies %.2g m from where all else has the log: a wrong number, time or log?"
-            log.warning(said, self._now.anchors[k][0].source, far)
 
     def add_log(self, survey: Survey) -> None:
         """Add one more log, without redoing the earlier ones."""
@@ -244,7 +198,7 @@ class Session:
         self._maps.clear()
 
     @property
-    def _now(self) -> Places:
+    def now(self) -> Places:
         """The present state, with the log that is being walked."""
         live = None if self._live is None else self._live.places
         places = live or self.places
@@ -254,14 +208,19 @@ class Session:
         return places
 
     @property
+    def is_rigid(self) -> bool:
+        """Whether each log is one node: merged, not corrected."""
+        return self.now.is_rigid
+
+    @property
     def paths(self) -> list[Path]:
         """Each log divided into windows, without its sensor's bias."""
-        return self._now.paths
+        return self.now.paths
 
     @property
     def graph(self) -> PoseGraph:
         """The pose graph."""
-        return self._now.graph
+        return self.now.graph
 
     @cached_property
     def logs(self) -> list[Survey]:
@@ -271,20 +230,18 @@ class Session:
     @cached_property
     def names(self) -> list[str]:
         """Stems of the logs' names, made unique."""
-        return names_of(self.logs)
+        return unique_stems([survey.name for survey in self.logs])
 
     @cached_property
     def trajectories(self) -> list[Survey]:
         """Each log with corrected positions, orientations and field, in the frame of its component."""
-        graph, origin = self.graph, self._now.stated.origin
-        frames = [
-            frame_of(k, origin if graph.is_fixed(path.first_node) else None)
-            for path, k in zip(self.paths, self.component_of, strict=True)
-        ]
-        return [
-            replace(corrected(path, graph), frame=frame, is_dead_reckoned=False)
-            for path, frame in zip(self.paths, frames, strict=True)
-        ]
+        graph, origin, found = self.graph, self.now.stated.origin, []
+        for path, component in zip(self.paths, self.component_of, strict=True):
+            frame = f"map_{component + 1}" if component else "map"
+            if origin is not None and graph.is_fixed(path.first_node):
+                frame = frame_about(Origin(*origin))  # as readers of degrees name it
+            found.append(replace(corrected(path, graph), frame=frame, is_dead_reckoned=False))
+        return found
 
     @cached_property
     def components(self) -> list[list[int]]:
@@ -311,32 +268,30 @@ class Session:
     @property
     def map_biases(self) -> list[Bias]:
         """What each log's readings still have of its sensor's bias, and sd (T), as the maps made so far know it."""
-        return biases_in_maps(self._maps, self.components, len(self.paths))
+        found = [NO_BIAS] * len(self.paths)
+        for component, made in self._maps.items():
+            logs = self.components[component]
+            if made.biases is not None and len(made.surveys) == len(logs):
+                for k, bias, sd in zip(logs, made.biases.bias, made.biases.sd, strict=True):
+                    found[k] = bias, sd
+        return found
 
     def result(self) -> SlamResult:
         """The result as a document; once a map is made it states the biases that were solved with it."""
-        names, closures, anchors = self.names, self.graph.closures, self._now.anchors
+        places, names = self.now, self.names
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
-        n_kept = sum(c.is_kept for c in closures)
-        if not n_kept and not any(log.is_fixed for log in logs):
+        if not any(log.n_closures or log.is_fixed for log in logs):
             status = SlamStatus.UNCHANGED
         else:
             status = SlamStatus.CONNECTED if len(self.components) == 1 else SlamStatus.PARTLY_CONNECTED
-        groups = [[names[k] for k in group] for group in self.components]
-        windows = [] if self._now.maker is None else [w for path in self.paths for w in path.windows]
-        guess = None if self.is_rigid else guessed_drift(self.graph, self._now.stated, self.logs)
-        bent_logs = [names[k] for k in np.flatnonzero(strains(self.graph) > MOST_BENT)]
-        n_rejected, bent = len(closures) - n_kept, bent_window(windows)
         live = [] if self._live is None or len(self.paths) == len(self.given) else [self._live.survey()]
         return SlamResult(
             status,
-            explain(status, groups, n_kept, n_rejected, len(anchors), bent, guess, bent_logs, is_rigid=self.is_rigid),
+            explain(status, places, self.components, names),
             logs,
-            tuple(state_closure(c, self.graph, self.paths, names, is_rigid=self.is_rigid) for c in closures),
-            state_anchors(anchors, self.graph, names),
-            DriftResult()
-            if self.is_rigid
-            else state_odometry(self.graph, self._now.biases, self.map_biases, [*self.given, *live], names),
+            state_closures(places, names),
+            state_anchors(places, names),
+            state_odometry(places, self.map_biases, [*self.given, *live], names),
             dict(self.seconds),
             {} if self.config is None else self.config.model_dump(mode="json"),
             __version__,
@@ -390,11 +345,6 @@ def require_distinct(surveys: Sequence[Survey]) -> None:
             msg = f"{name}: holds the same samples as {known[sha]}, expected each only once"
             raise SurveyError(msg)
         known[sha] = name
-
-
-def names_of(surveys: Sequence[Survey]) -> list[str]:
-    """Stems of the surveys' names, made unique."""
-    return unique_stems([survey.name for survey in surveys])
 
 
 def unique_stems(files: Sequence[str]) -> list[str]:

@@ -8,7 +8,6 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.cubes import even_choice
-from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.walk import BIN_LENGTH, bin_along_path, bin_means
 from magmatch.field.choose_prior import likely_numbers
 from magmatch.field.config import SPLINE
@@ -73,8 +72,8 @@ def as_rough_as_measured(h: Hyperparameters, surveys: Sequence[Survey], length: 
     measured = squared_gradient(surveys, length, h.noise_sd)
     if measured <= 0:
         return h
-    some = [surveys[k] for k in even_choice(len(surveys), MOST_LOGS)]
-    expected = float(np.median([_expected_square(survey, h, TUBE_LENGTH * length) for survey in some]))
+    some = even_choice(len(surveys), MOST_LOGS)
+    expected = float(np.median([_expected_square(surveys[k], h, TUBE_LENGTH * length) for k in some]))
     return replace(h, prior_scale=h.prior_scale * float(np.sqrt(measured / expected)))
 
 
@@ -87,11 +86,6 @@ def _expected_square(survey: Survey, h: Hyperparameters, length: float) -> float
     posterior = fit_posterior(samples, silent, SPLINE)
     C = posterior.covariance(samples.positions[even_choice(len(samples), N_POINTS)], order=1)[:, 3:, 3:]
     return float(np.diagonal(C, axis1=1, axis2=2).mean()) / h.inflation**2
-
-
-def guessed_noise(h: Hyperparameters, length: float) -> PathNoise:
-    """Guess of the field that does not repeat from walk to walk, before any two were compared."""
-    return PathNoise.guess(length, 0.25 * h.signal_sd, 0.25 * h.noise_sd, 0.1 * h.signal_sd)
 
 
 def _part(survey: Survey, walked: np.ndarray, middle: float, length: float) -> Survey:

@@ -23,7 +23,7 @@ from magmatch.slam.graph.solve import forget_closures
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places, begin
 from magmatch.slam.refine import refine
-from magmatch.slam.search.comparison import Candidate
+from magmatch.slam.search.loop_closure import Candidate
 from magmatch.slam.windows import Path
 from magmatch.threads import single_threaded
 

@@ -61,11 +61,11 @@ def warn_of_turned_fields(
             if max(group[one], *(group[k] for k in others)) < n_known:
                 continue
             against = ", ".join(in_short([logs[group[k]].name for k in others]))
-            log.warning(
+            words = (
                 "%s: its field is turned by %.0f degrees about the vertical against that of %s at the same places: "
-                "was one of the phones held another way? Hold them with the upper end forward, or leave the log out",
-                logs[group[one]].name, angle, against,
-            )  # fmt: skip
+                "was one of the phones held another way? Hold them with the upper end forward, or leave the log out"
+            )
+            log.warning(words, logs[group[one]].name, angle, against)
 
 
 def turned_logs(logs: Sequence[Survey], length: float) -> list[tuple[int, float, list[int]]]:

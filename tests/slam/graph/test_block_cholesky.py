@@ -31,14 +31,16 @@ def test_solutions_determinant_and_blocks_of_the_inverse_are_those_of_the_dense_
     n, rng = 30, np.random.default_rng(n_loops)
     A, dense = chain_with_loops(n, n_loops, is_planar, rng)
     factor, inverse = BlockCholesky.of(A), np.linalg.inv(dense)
-    rhs = rng.normal(size=(6, n, 6))
-    rhs[0, 1:] = 0.0
+    rhs = rng.normal(size=(n, 6, 6))
+    rhs[1:, :, 0] = 0.0
     scale = np.abs(inverse).max()
-    np.testing.assert_allclose(factor.solve(rhs).reshape(6, -1), rhs.reshape(6, -1) @ inverse, atol=1e-9 * scale)
-    np.testing.assert_array_equal(factor.solve(rhs[:1]), factor.solve(rhs)[:1])
+    np.testing.assert_allclose(
+        factor.solve(rhs).reshape(6 * n, 6), inverse @ rhs.reshape(6 * n, 6), atol=1e-9 * scale
+    )
+    np.testing.assert_array_equal(factor.solve(rhs[:, :, :1]), factor.solve(rhs)[:, :, :1])
     assert factor.log_determinant == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12)
     own = inverse.reshape(n, 6, n, 6)[np.arange(n), :, np.arange(n)]
-    np.testing.assert_allclose(factor.inverse().diagonal, own, atol=1e-9 * scale)
+    np.testing.assert_allclose(factor.diagonal_of_inverse, own, atol=1e-9 * scale)
     found = factor.inverse_in_column(7)
     np.testing.assert_allclose(found, inverse.reshape(n, 6, n, 6)[:, :, 7], atol=1e-9 * scale)
 

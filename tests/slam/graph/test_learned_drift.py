@@ -37,9 +37,9 @@ def test_evidence_of_a_step_that_a_closure_measures_is_that_of_both_errors_toget
     np.testing.assert_allclose(np.diff(given), np.diff(expected), atol=0.02)
 
 
-def laps(sd, seed, n_laps=6, radius=4.0):
-    """A log that walks a circle, its odometry a random walk of known size, and the graph with true closures."""
-    rng, n = np.random.default_rng(seed), 200 * n_laps
+def closed(sd, config, n_laps=6, radius=4.0):
+    """Graph and path of a circle, its odometry a random walk of known size; and true closures with the lap after."""
+    rng, n = np.random.default_rng(3), 200 * n_laps
     s = np.linspace(0, 2 * np.pi * n_laps, n)
     true = radius * np.column_stack([np.cos(s), np.sin(s), 0 * s])
     step = 2 * np.pi * radius * n_laps / n
@@ -48,26 +48,21 @@ def laps(sd, seed, n_laps=6, radius=4.0):
     moved = sd[0] * np.sqrt(step / 10) * rng.normal(size=(n - 1, 3)) * [1, 1, 0]
     walked = np.concatenate([np.zeros((1, 3)), np.cumsum(turn[:-1].apply(np.diff(true, axis=0)) + moved, axis=0)])
     field = 1e-6 * rng.normal(size=(n, 3))
-    return Survey(walked, field, times=np.arange(n) * 1.0, name="laps"), true, turn
+    (path,) = cut([Survey(walked, field, times=np.arange(n) * 1.0, name="laps")], 0.5, config)
+    p, R, ahead = true[path.middles], turn[path.middles], round(len(path.nodes) / n_laps)
+    closures = []
+    for a, b in zip(path.nodes[:-ahead].tolist(), path.nodes[ahead:].tolist(), strict=True):
+        T = RigidTransform.from_components(R[a].apply(p[b] - p[a]), R[a] * R[b].inv())
+        closures.append(Closure(a, b, T, np.diag([0.01] * 3 + [0.02] * 3) ** 2, 10.0))
+    return odometry_graph([path], config), path, closures
 
 
 @pytest.mark.parametrize("stated", [(0.6, 6.0), (0.07, 0.7)])
 def test_drift_that_was_stated_wrongly_is_learned_from_closures(stated):
     real = (0.2, 2.0)
     config = SlamConfig(is_planar=True, odometry=OdometryConfig(sd=stated, scale_sd=0.001, turn_share=0.01))
-    log, true, turn = laps(real, 3)
-    (path,) = cut([log], 0.5, config)
-    graph = odometry_graph([path], config)
-    p, R, nodes = true[path.middles], turn[path.middles], path.nodes
-    for a in nodes:
-        # The lap after, with the true relative pose.
-        b = a + round(len(nodes) / 6)
-        if b <= nodes[-1]:
-            T = RigidTransform.from_components(R[a].apply(p[b] - p[a]), R[a] * R[b].inv())
-            graph.closures = [
-                *graph.closures,
-                Closure(int(a), int(b), T, np.diag([0.01] * 3 + [0.02] * 3) ** 2, 10.0),
-            ]
+    graph, path, closures = closed(real, config)
+    graph.closures = closures
     solve(graph)
     sd = learned_drift(graph, [path], config).odometry.sd
     np.testing.assert_allclose(np.log(sd), np.log(real), atol=np.log(1.4))
@@ -75,15 +70,11 @@ def test_drift_that_was_stated_wrongly_is_learned_from_closures(stated):
 
 def test_a_few_closures_teach_nothing_and_more_teach_all_logs_alike():
     config = SlamConfig(is_planar=True, sd_of_logs={"laps": (0.6, 6.0)})
-    log, true, turn = laps((0.2, 2.0), 3)
-    (path,) = cut([log], 0.5, config)
-    graph = odometry_graph([path], config)
-    p, R, nodes = true[path.middles], turn[path.middles], path.nodes
-    for a in range(PRIOR_STRETCHES):
+    graph, path, closures = closed((0.2, 2.0), config)
+    for k in range(PRIOR_STRETCHES):
+        graph.closures = closures[:k]
         assert learned_drift(graph, [path], config) == config
-        b = a + round(len(nodes) / 6)
-        T = RigidTransform.from_components(R[a].apply(p[b] - p[a]), R[a] * R[b].inv())
-        graph.closures = [*graph.closures, Closure(a, b, T, np.diag([0.01] * 3 + [0.02] * 3) ** 2, 10.0)]
+    graph.closures = closures[:PRIOR_STRETCHES]
     solve(graph)
     learned = learned_drift(graph, [path], config)
     factors = np.array(learned.odometry.sd) / config.odometry.sd

@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What odometry adds to a pose that the field shows beside the path, not at a node."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from drifting import Place, drifting_walk, trajectory_error
 from magmatch.data.survey import Survey
 from magmatch.preparation.odometry.drift import OdometryConfig
-from magmatch.slam.bending import bend
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.odometry import covariance_beside
-from magmatch.slam.run import slam
-from magmatch.slam.windows import cut
+from magmatch.slam.windows import bend, cut
 
 CONFIG = SlamConfig(odometry=OdometryConfig(sd=(0.1, 2.0), scale_sd=0.01, turn_share=0.5))
 S = np.linspace(0, 12.0, 241)
@@ -56,13 +51,3 @@ def test_odometry_that_is_stated_to_be_twice_as_good_is_so_in_its_lasting_turn_t
         for sd in ((0.2, 4.0), (0.1, 2.0))
     )
     np.testing.assert_allclose(D[2:5, 2:5], C[2:5, 2:5] / 4, rtol=1e-3, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_a_jump_is_undone_by_what_is_passed_again():
-    log, truth = drifting_walk(Place(1), 1, laps=3.0)
-    jumped = replace(log, positions=log.positions + 3.0 * (np.arange(len(log)) >= 300)[:, None] * [1.0, 0.5, 0.0])
-    # 0.1 s a sample: faster than any step.
-    jumped = replace(jumped, times=log.times / 10)
-    after = slam(jumped).trajectories[0].positions
-    assert trajectory_error(truth, after) < 0.2 * trajectory_error(truth, jumped.positions)

@@ -8,7 +8,7 @@ import numpy as np
 import magmatch as mm
 from drifting import Place, drifting_walk
 from magmatch.data.surveyed_points import SurveyedPoints
-from magmatch.slam.graph.anchors import WAYPOINT_SD, Anchor, warn_of_floors, waypoints
+from magmatch.slam.graph.anchors import WAYPOINT_SD, Anchor, waypoints, waypoints_of
 
 LOG, _ = drifting_walk(Place(1), 1, laps=0.3)
 START, END = float(LOG.times[0]), float(LOG.times[-1])
@@ -33,9 +33,10 @@ def test_a_point_is_as_high_as_odometry_has_the_log_there():
 
 
 def test_several_floors_are_warned_of_and_one_is_not(caplog):
-    warn_of_floors([points(0.0), None, points(1.0)])
-    assert not caplog.records
-    warn_of_floors([points(0.0, floor="F3"), points(1.0)])
+    first, other = (replace(LOG, waypoints=points(START, floor=floor)) for floor in ("1", "F3"))
+    waypoints_of([first, LOG, first], ["a", "b", "c"], is_tied=True)
+    assert "floors" not in caplog.text
+    waypoints_of([first, other], ["a", "b"], is_tied=True)
     assert "floors 1, F3, and are taken as of one" in caplog.text
 
 

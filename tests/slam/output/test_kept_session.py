@@ -32,8 +32,12 @@ def test_a_session_read_again_is_what_it_was(lone, folder):
     assert [(c.first, c.second, c.log_odds) for c in ours.closures] == [
         (c.first, c.second, c.log_odds) for c in theirs.closures
     ]
+    assert [f.node for f in ours.submap_factors] == [f.node for f in theirs.submap_factors] != []
     assert session.places.maker.noise == lone.session.places.maker.noise
     assert session.config == lone.session.config
+    session.add_logs([])  # as a finished command that is run again does
+    np.testing.assert_allclose(session.graph.p, theirs.p, atol=1e-5)
+    assert len(session.graph.submap_factors) == len(theirs.submap_factors)
 
 
 def test_one_more_log_is_tied_and_nothing_is_looked_for_again(lone, folder, monkeypatch):

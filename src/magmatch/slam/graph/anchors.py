@@ -2,13 +2,13 @@
 """Fixed points: known positions of a log at given times, in a surveyor's frame."""
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
 
 import numpy as np
 
-from magmatch.arguments import column_of, number_of, numbers_of
+from magmatch.arguments import column_of, expect_kind, number_of, numbers_of
 from magmatch.compiled import NOTICE
 from magmatch.data.geodesy import Origin, local_east_north, what_is_wrong
 from magmatch.data.survey import Survey
@@ -132,35 +132,57 @@ def in_metres(
     return [a.local(at) if a.in_degrees else a for a in anchors], (latitude, longitude)
 
 
-def of_logs(anchors: Sequence[Anchor], given: Sequence[Survey], names: Sequence[str]) -> list[tuple[Anchor, int]]:
-    """Fixed points with the log that passed each; a ConfigurationError names the first that none did."""
-    spans = [None if s.times is None else (float(s.times[0]), float(s.times[-1])) for s in given]
-    return of_named(anchors, [survey.name for survey in given], names, spans)
+def points_passed(
+    anchors: Sequence[Anchor] | str | FilePath,
+    logs: Sequence[Survey],
+    names: Sequence[str],
+    n_known: int,
+    earlier: Sequence[tuple[Anchor, int]],
+    origin: tuple[float, float] | None,
+    *,
+    waypoints: bool,
+) -> tuple[list[tuple[Anchor, int]], tuple[float, float] | None]:
+    """New fixed points in metres, each with the log that passed it, and the origin of their frame in degrees.
+
+    They are those of a table or a list, and with ``waypoints`` those that logs after the first ``n_known`` hold
+    themselves. The ``earlier`` ones may be given again.
+    """
+    found = read_anchors(anchors) if isinstance(anchors, str | FilePath) else list(anchors)
+    for k, anchor in enumerate(found):
+        expect_kind(anchor, f"anchors[{k}]", (Anchor,), "give a magmatch.Anchor")
+    before = [anchor for anchor, _ in earlier]
+    if waypoints:
+        is_tied = origin is not None or all(anchor.in_degrees for anchor in (*found, *before))
+        found += waypoints_of(logs[n_known:], names[n_known:], is_tied=is_tied)
+    found, origin = in_metres(found, origin, before)
+    known = {(of, anchor.numbers) for anchor, of in earlier}
+    spans = [None if s.times is None else (float(s.times[0]), float(s.times[-1])) for s in logs]
+    passed = of_named(found, [survey.name for survey in logs], names, spans)
+    fixed = [(anchor, of) for anchor, of in passed if (of, anchor.numbers) not in known]
+    warn_of_a_mirrored_plan(fixed, logs)
+    return fixed, origin
 
 
 def of_named(
-    anchors: Sequence[Anchor],
-    files: Sequence[str],
-    names: Sequence[str],
-    spans: Sequence[tuple[float, float] | None],
+    anchors: Sequence[Anchor], files: Sequence[str], names: Sequence[str], spans: Sequence[tuple[float, float] | None]
 ) -> list[tuple[Anchor, int]]:
     """Fixed points with the log that passed each; logs are given as files' names, their own, and their spans in s."""
-    found = []
+    known, found = [{name, file, FilePath(file).name} for name, file in zip(names, files, strict=True)], []
     for anchor in anchors:
-        known = [{name, file, FilePath(file).name} for name, file in zip(names, files, strict=True)]
         of = next((k for k, some in enumerate(known) if anchor.log in some), None)
+        span = None if of is None else spans[of]
         if of is None:
-            msg = f"{anchor.source}: expected the name of a log ({', '.join(names)}), found {anchor.log!r}"
-            raise ConfigurationError(msg)
-        span = spans[of]
-        if span is None:
-            msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
-            raise ConfigurationError(msg)
-        if not span[0] - CLOCKS_APART <= anchor.t <= span[1] + CLOCKS_APART:
+            wrong = f"expected the name of a log ({', '.join(names)}), found {anchor.log!r}"
+        elif span is None:
+            wrong = f"log {anchor.log!r} has no times, which a fixed point needs"
+        elif not span[0] - CLOCKS_APART <= anchor.t <= span[1] + CLOCKS_APART:
             between = f"between {told(span[0])} and {told(span[1])} s, when log {anchor.log!r} was walked"
-            msg = f"{anchor.source}: expected a time {between}, found {told(anchor.t)}"
-            raise ConfigurationError(msg)
-        found.append((anchor, of))
+            wrong = f"expected a time {between}, found {told(anchor.t)}"
+        else:
+            found.append((anchor, of))
+            continue
+        msg = f"{anchor.source}: {wrong}"
+        raise ConfigurationError(msg)
     return found
 
 
@@ -174,37 +196,24 @@ def warn_of_a_mirrored_plan(passed: Sequence[tuple[Anchor, int]], logs: Sequence
         walked = np.column_stack([np.interp(at, survey.times, axis) for axis in survey.positions.T[:2]])
         found = mirrored_misfits(np.array([anchor.position[:2] for anchor in own]), walked)
         if found is not None:
-            logger.warning(
-                "the fixed points of %s fit its path mirrored (%.2g m off, rms), not as given (%.2g m): y counted "
-                "downward, or x and y swapped?",
-                survey.name, found[1], found[0],
-            )  # fmt: skip
+            fit = "fit its path mirrored (%.2g m off, rms), not as given (%.2g m)"
+            words = f"the fixed points of %s {fit}: y counted downward, or x and y swapped?"
+            logger.warning(words, survey.name, found[1], found[0])
 
 
 def fixed_points(anchors: Sequence[tuple[Anchor, int]], paths: Sequence[Path]) -> FixedPoints:
     """Fixed points as factors of the two nodes around each."""
-    anchors = [(anchor, log) for anchor, log in anchors if log < len(paths)]  # others have yet to be added
-    one, other, share, x, sds = [], [], [], [], []
+    rows = []
     for anchor, log in anchors:
-        path = paths[log]
-        times = path.survey.times
+        path, times = paths[log], paths[log].survey.times
         assert times is not None
-        a, b, s = around(path, np.interp([anchor.t], times, path.walked))
-        one.append(path.first_node + int(a[0]))
-        other.append(path.first_node + int(b[0]))
-        share.append(float(s[0]))
-        x.append([np.interp(anchor.t, times, axis) for axis in path.survey.positions.T])
+        (one,), (other,), (share,) = around(path, np.interp([anchor.t], times, path.walked))
+        x = [np.interp(anchor.t, times, axis) for axis in path.survey.positions.T]
         # The log may have moved on between the point and the first or last sample.
         beyond = abs(anchor.t - np.clip(anchor.t, times[0], times[-1]))
-        sds.append(np.hypot(anchor.sd, beyond * path.walked[-1] / (times[-1] - times[0])))
-    return FixedPoints(
-        np.array(one, dtype=np.int64),
-        np.array(other, dtype=np.int64),
-        np.array(share),
-        np.array(x).reshape(-1, 3),
-        np.array([a.position for a, _ in anchors]).reshape(-1, 3),
-        np.array(sds),
-    )
+        sd = np.hypot(anchor.sd, beyond * path.walked[-1] / (times[-1] - times[0]))
+        rows.append((path.first_node + one, path.first_node + other, share, x, anchor.position, sd))
+    return FixedPoints(*map(np.array, zip(*rows, strict=True)))
 
 
 def waypoints(points: SurveyedPoints, survey: Survey, log: str) -> list[Anchor]:
@@ -229,12 +238,12 @@ def waypoints(points: SurveyedPoints, survey: Survey, log: str) -> list[Anchor]:
 
 def waypoints_of(logs: Sequence[Survey], names: Sequence[str], *, is_tied: bool) -> list[Anchor]:
     """Points that logs hold themselves, as fixed points; those in degrees only if they are tied to the others."""
-    warn_of_floors(log.waypoints for log in logs)
-    found = [
-        anchor
-        for log, name in zip(logs, names, strict=True)
-        for anchor in ([] if log.waypoints is None else waypoints(log.waypoints, log, name))
-    ]
+    marked = [(log.waypoints, log, name) for log, name in zip(logs, names, strict=True) if log.waypoints is not None]
+    floors = sorted({floor for points, *_ in marked for floor in points.floors})
+    if len(floors) > 1:  # dead reckoning does not know their heights
+        words = "surveyed points lie on floors %s, and are taken as of one: give the logs of one floor alone"
+        logger.warning(words, ", ".join(floors))
+    found = [anchor for one in marked for anchor in waypoints(*one)]
     kept = [anchor for anchor in found if is_tied or not anchor.in_degrees]
     if len(kept) < len(found):
         words = "fixed points given in metres: points in degrees that logs hold are not used"
@@ -244,11 +253,3 @@ def waypoints_of(logs: Sequence[Survey], names: Sequence[str], *, is_tied: bool)
             NOTICE, "%d surveyed points that logs hold are fixed points (--no-waypoints leaves them out)", len(kept)
         )
     return kept
-
-
-def warn_of_floors(logs: Iterable[SurveyedPoints | None]) -> None:
-    """Say that logs were walked on several floors, whose heights dead reckoning does not know."""
-    floors = sorted({floor for points in logs if points is not None for floor in points.floors})
-    if len(floors) > 1:
-        words = "surveyed points lie on floors %s, and are taken as of one: give the logs of one floor alone"
-        logger.warning(words, ", ".join(floors))

@@ -30,7 +30,7 @@ def sum_of_blocks(rows: Indices, columns: Indices, blocks: np.ndarray, n: int) -
     return bsr_array((data, places % n, starts), shape=(SIDE * n, SIDE * n))
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class BlockCholesky:
     """``A = L L^T`` in an order that keeps L sparse."""
 
@@ -59,43 +59,37 @@ class BlockCholesky:
         return 2 * float(np.log(np.diagonal(self.L[self.starts[:-1]], axis1=1, axis2=2)).sum())
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """``A^-1 rhs`` for up to six right-hand sides: (k, n, 6)."""
-        y = np.zeros((len(self.position), SIDE, SIDE))
-        y[self.position, :, : len(rhs)] = np.moveaxis(rhs, 0, 2)
+        """``A^-1 rhs`` for up to six right-hand sides: (n, 6, k)."""
+        y, k = np.zeros((len(self.position), SIDE, SIDE)), rhs.shape[2]
+        y[self.position, :, :k] = rhs
         _solve(self.starts, self.rows, self.L, y, np.empty((1, SIDE, SIDE)))
-        return np.moveaxis(y[self.position, :, : len(rhs)], 2, 0)
+        return np.asarray(y[self.position, :, :k])
 
     def inverse_in_column(self, column: int) -> np.ndarray:
         """Blocks in one column of ``A^-1``: (n, 6, 6)."""
-        y = np.zeros((len(self.position), SIDE, SIDE))
-        y[self.position[column]] = np.eye(SIDE)
-        _solve(self.starts, self.rows, self.L, y, np.empty((1, SIDE, SIDE)))
-        return np.asarray(y[self.position])
+        rhs = np.zeros((len(self.position), SIDE, SIDE))
+        rhs[column] = np.eye(SIDE)
+        return self.solve(rhs)
 
-    def inverse(self) -> "SelectedInverse":
-        """Blocks of ``A^-1`` where L has some."""
+    def inverse(self) -> np.ndarray:
+        """Blocks of ``A^-1`` where L has some: (m, 6, 6)."""
         Z = np.zeros_like(self.L)
         _invert(self.starts, self.rows, self.L.copy(), Z, np.empty((1, SIDE, SIDE)))
-        return SelectedInverse(self, Z)
-
-
-@dataclass(frozen=True, eq=False)
-class SelectedInverse:
-    """Blocks of ``A^-1`` along its diagonal, and where A has some."""
-
-    factor: BlockCholesky
-    Z: np.ndarray  # (m, 6, 6)
+        return Z
 
     @cached_property
-    def diagonal(self) -> np.ndarray:
-        """Blocks along the diagonal: (n, 6, 6)."""
-        return np.asarray(self.Z[self.factor.starts[:-1]][self.factor.position])
+    def _inverse(self) -> np.ndarray:
+        return self.inverse()
 
-    def between(self, rows: Indices, columns: Indices) -> np.ndarray:
-        """Blocks of coupled unknowns: (k, 6, 6)."""
-        f = self.factor
-        at, is_above = _find(f.starts, f.rows, f.position[rows], f.position[columns])
-        return _flipped(self.Z[at], is_above)
+    @cached_property
+    def diagonal_of_inverse(self) -> np.ndarray:
+        """Blocks along the diagonal of ``A^-1``: (n, 6, 6)."""
+        return np.asarray(self._inverse[self.starts[:-1]][self.position])
+
+    def inverse_between(self, rows: Indices, columns: Indices) -> np.ndarray:
+        """Blocks of ``A^-1`` between unknowns that are coupled: (k, 6, 6)."""
+        at, is_above = _find(self.starts, self.rows, self.position[rows], self.position[columns])
+        return _flipped(self._inverse[at], is_above)
 
 
 def _find(starts: Indices, rows: Indices, one: Indices, other: Indices) -> tuple[Indices, Mask]:
@@ -199,39 +193,30 @@ def _subtract(A: np.ndarray, at: int, X: np.ndarray, r: int, Y: np.ndarray, q: i
 
 
 @compiled
-def _solve_column(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int) -> None:
-    """Solve for block j with column j of L, and take what it explains from the blocks below."""
-    for a in range(SIDE):
-        for c in range(a):
-            for k in range(SIDE):
-                y[j, a, k] -= L[d, a, c] * y[j, c, k]
-        for k in range(SIDE):
-            y[j, a, k] /= L[d, a, a]
-    for q in range(d + 1, end):
-        _subtract(y, rows[q], L, q, y, j)
-
-
-@compiled
-def _solve_row(d: int, end: int, rows: Indices, L: np.ndarray, y: np.ndarray, j: int, turned: np.ndarray) -> None:
-    """Solve for block j with row j of L^T, where the blocks below are known."""
-    for q in range(d + 1, end):
-        _transpose(L, q, turned)
-        _subtract(y, j, turned, ONLY, y, rows[q])
-    for a in range(SIDE - 1, -1, -1):
-        for c in range(a + 1, SIDE):
-            for k in range(SIDE):
-                y[j, a, k] -= L[d, c, a] * y[j, c, k]
-        for k in range(SIDE):
-            y[j, a, k] /= L[d, a, a]
-
-
-@compiled
 def _solve(starts: Indices, rows: Indices, L: np.ndarray, y: np.ndarray, turned: np.ndarray) -> None:
     """Overwrite blocks y (n, 6, 6), six right-hand sides, by ``L^-T L^-1 y``."""
     for j in range(len(starts) - 1):
-        _solve_column(starts[j], starts[j + 1], rows, L, y, j)
+        d = starts[j]
+        for a in range(SIDE):
+            for c in range(a):
+                for k in range(SIDE):
+                    y[j, a, k] -= L[d, a, c] * y[j, c, k]
+            for k in range(SIDE):
+                y[j, a, k] /= L[d, a, a]
+        # What block j explains is taken from the blocks below.
+        for q in range(d + 1, starts[j + 1]):
+            _subtract(y, rows[q], L, q, y, j)
     for j in range(len(starts) - 2, -1, -1):
-        _solve_row(starts[j], starts[j + 1], rows, L, y, j, turned)
+        d = starts[j]
+        for q in range(d + 1, starts[j + 1]):
+            _transpose(L, q, turned)
+            _subtract(y, j, turned, ONLY, y, rows[q])
+        for a in range(SIDE - 1, -1, -1):
+            for c in range(a + 1, SIDE):
+                for k in range(SIDE):
+                    y[j, a, k] -= L[d, c, a] * y[j, c, k]
+            for k in range(SIDE):
+                y[j, a, k] /= L[d, a, a]
 
 
 @compiled

@@ -9,6 +9,7 @@ from scipy.optimize import fmin
 
 from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.slam.config import SlamConfig
+from magmatch.slam.graph.block_cholesky import BlockCholesky
 from magmatch.slam.graph.normal_equations import LEAST_LASTING, normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
@@ -65,8 +66,8 @@ def with_factors(config: SlamConfig, factors: Scalars) -> SlamConfig:
 def log_evidence(graph: PoseGraph) -> float:
     """Log density of odometry and closures, all poses integrated out about where they stand, but for a constant."""
     H, v, chi2 = normal_equations(graph)
-    factor = graph.factor(H)
+    factor = BlockCholesky.of(H)
     log_det_odometry = float(np.linalg.slogdet(graph.edges.covariance)[1].sum())
     log_det_lasting = 2 * len(graph.lasting) * float(np.log(max(graph.config.odometry.turn_rate_sd, LEAST_LASTING)))
-    explained = float((v * factor.solve(v[None])[0]).sum())
+    explained = float((v * factor.solve(v[:, :, None])[:, :, 0]).sum())
     return -0.5 * (chi2 - explained + factor.log_determinant + log_det_odometry + log_det_lasting)

@@ -14,7 +14,7 @@ from magmatch.preparation.odometry.drift import LEVEL_SD, UPRIGHT_SD
 from magmatch.slam.graph.block_cholesky import SIDE, sum_of_blocks
 from magmatch.slam.graph.factors import N_LASTING
 from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
-from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors
+from magmatch.typing import Indices, Points, Scalars, Tensors
 
 # Least standard deviation of a lasting error, so that the equations can be solved where it is stated as 0.
 LEAST_LASTING = 1e-9
@@ -52,7 +52,11 @@ def odometry_steps(graph: PoseGraph) -> list[Part]:
     r, Ji, Jj = residual_between(graph, e.first, e.second, *Z)
     # What was measured is the real step in the odometry's unit, with noise: were it the measured step, noise and
     # all, that is scaled, loops that do not close would shrink the map.
-    of_scale = _in_unit(scale, r, Ji, Jj)
+    unit = np.exp(-scale)[:, None]
+    r[:, 3:] *= unit
+    Ji[:, 3:] *= unit[:, :, None]
+    Jj[:, 3:] *= unit[:, :, None]
+    of_scale = -(r * [0, 0, 0, 1, 1, 1])[:, :, None]
     r[:, 3:] -= e.shift + turned[:, 3:]
     unused = np.zeros((len(e.first), SIDE, SIDE - N_LASTING))
     J = np.concatenate([Ji, Jj, of_scale, -e.lasting[:, :, 1:], unused], axis=2)
@@ -129,18 +133,6 @@ def shared(graph: PoseGraph) -> Scalars:
     return np.asarray(1 + closures.common * others)
 
 
-def _in_unit(log_scale: Scalars, r: Matrix, Ji: Tensors, Jj: Tensors) -> np.ndarray:
-    """Express residuals of position and their slopes in a unit of ``exp(log_scale)`` m; give the slope with that.
-
-    r is (e, 6), and its slopes with both nodes are (e, 6, 6); the slope is (e, 6, 1).
-    """
-    unit = np.exp(-log_scale)[:, None]
-    r[:, 3:] *= unit
-    Ji[:, 3:] *= unit[:, :, None]
-    Jj[:, 3:] *= unit[:, :, None]
-    return -(r * [0, 0, 0, 1, 1, 1])[:, :, None]
-
-
 def _alone(graph: PoseGraph) -> list[Part]:
     """Priors on single nodes (vertical, height, first node of a component) and on constant errors."""
     n, c = len(graph.p), graph.config
@@ -159,7 +151,7 @@ def _alone(graph: PoseGraph) -> list[Part]:
     k = len(first)
     has_fixed = np.isin(names, list(graph.fixed_by(frames)))
     sure = np.where(has_fixed, FREE, SURE)[:, None, None]
-    found.append((first[:, None], _alike(np.eye(6), k), np.eye(6) / sure**2, np.zeros((k, 6))))
+    found.append((first[:, None], np.tile(np.eye(6), (k, 1, 1)), np.eye(6) / sure**2, np.zeros((k, 6))))
     if graph.fixed is not None:
         f, (seen, J) = graph.fixed, graph.seen_at_fixed()
         P = np.eye(3) / f.sd[:, None, None] ** 2
@@ -167,7 +159,7 @@ def _alone(graph: PoseGraph) -> list[Part]:
     sd, k = np.ones(SIDE), len(graph.lasting)
     sd[:N_LASTING] = np.maximum([c.odometry.scale_sd, c.odometry.turn_rate_sd], LEAST_LASTING)
     errors = np.concatenate([graph.lasting, np.zeros((k, SIDE - N_LASTING))], axis=1)
-    found.append((n + np.arange(k)[:, None], _alike(np.eye(SIDE), k), np.diag(sd**-2), errors))
+    found.append((n + np.arange(k)[:, None], np.tile(np.eye(SIDE), (k, 1, 1)), np.diag(sd**-2), errors))
     return found
 
 
@@ -184,7 +176,3 @@ def residual_between(
     Ji[:, :3, :3], Jj[:, :3, :3] = -bend @ np.swapaxes(Rij, 1, 2), bend
     Ji[:, 3:, :3], Ji[:, 3:, 3:], Jj[:, 3:, 3:] = skew(tij), -np.eye(3), Rij
     return r, Ji, Jj
-
-
-def _alike(M: Matrix, n: int) -> np.ndarray:
-    return np.broadcast_to(M, (n, *M.shape))

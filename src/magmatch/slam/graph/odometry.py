@@ -7,11 +7,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import adjoint
-from magmatch.slam.bending import bend, lasting_errors
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.factors import Edges
+from magmatch.slam.graph.factors import N_LASTING, Edges
 from magmatch.slam.graph.pose_graph import SURE, PoseGraph
-from magmatch.slam.windows import Path
+from magmatch.slam.windows import Path, bend, lasting_errors
 from magmatch.typing import Covariance6, Matrix, Vector3
 
 # Points of the path between two nodes that say how odometry bends.
@@ -30,20 +29,15 @@ def follow(path: Path, graph: PoseGraph) -> None:
     """Add the nodes of a log that the graph does not have yet, where odometry leads: the last of all nodes."""
     config, log = graph.config, path.windows[0].log
     known = max(len(graph.p) - path.first_node, 0)
-    shift, covariance, lasting = [], [], []
     first = np.arange(max(known - 1, 0), len(path.windows) - 1)
-    for k in first:
-        step, loads, errors = _between(path, int(path.middles[k]), int(path.middles[k + 1]), config)
-        random = loads[:, : -errors.shape[1]]
-        covariance.append(random @ random.T + SURE**2 * np.eye(6))
-        lasting.append(errors)
-        shift.append(step)
+    steps = [_between(path, int(path.middles[k]), int(path.middles[k + 1]), config) for k in first]
+    random = [loads[:, :-N_LASTING] for _, loads, _ in steps]
     edges = Edges(
         path.first_node + first,
         path.first_node + first + 1,
-        np.array(shift).reshape(-1, 3),
-        np.array(covariance).reshape(-1, 6, 6),
-        np.array(lasting).reshape(-1, 6, 2),
+        np.array([shift for shift, *_ in steps]).reshape(-1, 3),
+        np.array([A @ A.T + SURE**2 * np.eye(6) for A in random]).reshape(-1, 6, 6),
+        np.array([lasting for *_, lasting in steps]).reshape(-1, 6, N_LASTING),
         np.full(len(first), log),
     )
     centers = path.centers[known:]

@@ -9,13 +9,13 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import bsr_array, coo_array
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.geometry import ROUNDING, skew, transform_of
 from magmatch.slam.config import SlamConfig
-from magmatch.slam.graph.block_cholesky import BlockCholesky, SelectedInverse
+from magmatch.slam.graph.block_cholesky import BlockCholesky
 from magmatch.slam.graph.factors import N_LASTING, Closure, ClosureArrays, Edges, FixedPoints, SubmapFactor
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors
 
@@ -46,8 +46,8 @@ class PoseGraph:
     submap_factors: tuple[SubmapFactor, ...] = ()  # instead of the closures with the passes of their submaps
     _closures: tuple[Closure, ...] = ()
     _arrays: ClosureArrays | None = None
-    _factor: BlockCholesky | None = None
-    _inverse: SelectedInverse | None = None
+    # Of the information of all poses, from which their covariances follow
+    factor: BlockCholesky | None = None
 
     def __post_init__(self) -> None:
         self.start, self.level = self.p.copy(), self.p[:, 2].copy()
@@ -181,7 +181,7 @@ class PoseGraph:
         if self.fixed is None:
             return np.zeros((0, 3)), np.zeros((0, 3, 3))
         f, (seen, J), own = self.fixed, self.seen_at_fixed(), self.marginals()
-        between = self._selected().between(f.one, f.other)
+        between = self._factor.inverse_between(f.one, f.other)
         C = np.block([[own[f.one], between], [np.swapaxes(between, 1, 2), own[f.other]]])
         S = J @ C @ np.swapaxes(J, 1, 2) / f.sd[:, None, None] ** 2
         told, axes = np.linalg.eigh((S + np.swapaxes(S, 1, 2)) / 2)
@@ -211,21 +211,15 @@ class PoseGraph:
         lasting = L @ np.diag([o.scale_sd**2, o.turn_rate_sd**2]) @ L.T
         return RigidTransform.from_translation(self.edges.shift[e]), self.edges.covariance[e] + lasting
 
-    def factor(self, H: bsr_array) -> BlockCholesky:
-        """Keep the information of all poses, from which their covariances follow."""
-        self._inverse, self._factor = None, BlockCholesky.of(H)
-        return self._factor
-
     def relative_covariances(self, firsts: Indices, second: int) -> np.ndarray:
         """Covariance of xi in ``T_first_second Exp(xi)`` for each first node: (f, 6, 6), odometry's unit."""
-        assert self._factor is not None
         seconds = np.full(len(firsts), second)
         return self._relative(firsts, seconds, self._factor.inverse_in_column(second)[firsts])
 
     def relative_covariances_of_closures(self) -> np.ndarray:
         """Give the relative covariance of each closure's two nodes: (c, 6, 6)."""
         firsts, seconds = self.as_arrays.first, self.as_arrays.second
-        return self._relative(firsts, seconds, self._selected().between(firsts, seconds))
+        return self._relative(firsts, seconds, self._factor.inverse_between(firsts, seconds))
 
     def _relative(self, firsts: Indices, seconds: Indices, between: np.ndarray) -> np.ndarray:
         own = self.marginals()
@@ -273,10 +267,9 @@ class PoseGraph:
 
     def marginals(self) -> np.ndarray:
         """Covariance of each node: (n, 6, 6)."""
-        return self._selected().diagonal[: len(self.p)]
+        return self._factor.diagonal_of_inverse[: len(self.p)]
 
-    def _selected(self) -> SelectedInverse:
-        if self._inverse is None:
-            assert self._factor is not None
-            self._inverse = self._factor.inverse()
-        return self._inverse
+    @property
+    def _factor(self) -> BlockCholesky:
+        assert self.factor is not None  # the graph was solved
+        return self.factor

@@ -5,6 +5,7 @@ import secrets
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from magmatch.data.fingerprint import describe_input
@@ -130,13 +131,13 @@ def _write(
     write_graph(session.graph, folder / GRAPH)
     write_covariances(session, folder / COVARIANCES)
     write_session(session, folder / SESSION)
-    seconds = session.seconds
     result = session.result()
     if report is not None:
         report(session, result, folder / REPORT)
-    total = seconds.get("total", 0.0) + clock.seconds()["total"]
-    session.seconds = {**seconds, **clock.seconds(), "total": total}
-    result = session.result()
+    spent = clock.seconds()
+    total = session.seconds.get("total", 0.0) + spent["total"]
+    session.seconds = session.seconds | spent | {"total": total}
+    result = replace(result, seconds=dict(session.seconds))
     result.save(folder / RESULT)
     return result
 

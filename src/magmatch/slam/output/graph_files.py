@@ -16,7 +16,6 @@ from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.graph.pose_graph import FREE, SURE, PoseGraph
 from magmatch.slam.session import Session
-from magmatch.slam.statement import body_at
 from magmatch.typing import Scalars
 
 UPPER = np.triu_indices(SIDE)
@@ -34,7 +33,7 @@ def write_covariances(session: Session, path: Path) -> None:
     graph, logs, components, moments, numbers = session.graph, [], [], [], []
     for name, component, one in zip(session.names, session.component_of, session.paths, strict=True):
         for node, about_node in zip(one.nodes.tolist(), graph.covariances(one.nodes), strict=True):
-            T_node_body, t, _ = body_at(one, node, is_rigid=session.is_rigid)
+            T_node_body, t, _ = session.now.body_at(node)
             T, M = graph.pose(node) * T_node_body, adjoint(T_node_body.inv())
             C = M @ about_node @ M.T
             # The first node's is zero, but for rounding.

@@ -13,6 +13,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.sensor_biases import without_bias
 from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.anchors import Anchor, fixed_points
+from magmatch.slam.graph.block_cholesky import BlockCholesky
 from magmatch.slam.graph.factors import Closure, SubmapFactor
 from magmatch.slam.graph.normal_equations import normal_equations
 from magmatch.slam.graph.odometry import odometry_graph
@@ -35,7 +36,7 @@ def write_session(session: Session, path: Path) -> None:
     graph, maker = places.graph, places.maker
     content = {
         "stated": places.stated.model_dump(mode="json"),
-        "config": maker.config.model_dump(mode="json"),
+        "config": graph.config.model_dump(mode="json"),
         "inputs": [describe_input(s)["sha256"] for s in session.given],
         "seconds": session.seconds, "hyperparameters": maker.hyperparameters, "noise": maker.noise,
         "squared_gradient": maker.squared_gradient, "length": maker.length,
@@ -91,10 +92,12 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     graph = odometry_graph(paths, config)
     graph.R, graph.p, graph.level, graph.lasting = (content[k] for k in ("R", "p", "level", "lasting"))
     graph.closures, graph.submap_factors = content["closures"], content["submap_factors"]
-    numbers, noise, anchors = content["hyperparameters"], content["noise"], content["anchors"]
-    maker = SubmapMaker(numbers, content["squared_gradient"], noise, content["length"], config)
+    h, gradient, noise, length, anchors = (
+        content[k] for k in ("hyperparameters", "squared_gradient", "noise", "length", "anchors")
+    )
+    maker = SubmapMaker(h, gradient, noise, length, config.search)
     if anchors:
         graph.fixed = fixed_points(anchors, paths)
     # Poses stay as they were; covariances follow from this.
-    graph.factor(normal_equations(graph)[0])
+    graph.factor = BlockCholesky.of(normal_equations(graph)[0])
     return Places(paths, graph, stated, maker, content["biases"], anchors)

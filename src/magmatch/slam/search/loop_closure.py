@@ -21,8 +21,9 @@ from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.refine_and_weigh_walk import inside_base, weigh_walk
 from magmatch.slam.config import MOST_ODDS
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.slam.search.submaps import Submap
+from magmatch.slam.search.submaps import Submap, volume_of
 from magmatch.slam.windows import Window
+from magmatch.threads import single_threaded
 from magmatch.typing import Covariance6, Indices, Scalars
 
 # Poses nearer than this are one answer: in field lengths, and rad.
@@ -52,28 +53,25 @@ class Rough:
         turn, shift = self.largest_sds
         return bool(turn < SAME_TURN and shift < SAME_SHIFT * length)
 
-    def is_beside(self, window: Window, base: Submap, nodes: Indices) -> bool:
-        """Whether it may lie in the window of one of some nodes of a submap."""
-        return bool(base.are_near(self.T_base_log.apply(window.center)[None], nodes)[0])
-
     def prior(self, window: Window, base: Submap) -> PosePrior:
         """Prior of the pose between model frames."""
         M = adjoint(window.T_middle_node)
         C = M @ (self.covariance + NODE_COVARIANCE) @ M.T
         T = product(base.index.base.T_map_model.inv(), self.T_base_log, window.walk.T_survey_walk)
-        return replace(_prior(window, base, base.volume), T_base_target=T, covariance=C, far2=REACH**2)
+        return replace(_prior(window, base, volume_of(base)), T_base_target=T, covariance=C, far2=REACH**2)
 
     def log_densities(self, window: Window, T_base_log: RigidTransform, _: PosePrior) -> tuple[float, float]:
         """Log density of the pose where it is densest, and how much less it is at another.
 
         Of the components that drift: the others hold for each window by itself.
         """
-        T_log_node = window.T_log_node
-        off = product(T_log_node.inv(), self.T_base_log.inv(), T_base_log, T_log_node)
-        C = self.covariance + NODE_COVARIANCE
-        drifts = window.config.drifts
+        C, drifts = self.covariance + NODE_COVARIANCE, window.config.drifts
         densest = float(log_density(RigidTransform.identity(), C, drifts))
-        return densest, densest - float(log_density(off, C, drifts))
+        return densest, densest - float(log_density(self.off(window, T_base_log), C, drifts))
+
+    def off(self, window: Window, T_base_log: RigidTransform) -> RigidTransform:
+        """How far another pose is from it: of the window's node, in its axes."""
+        return product(window.T_log_node.inv(), self.T_base_log.inv(), T_base_log, window.T_log_node)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,14 +79,6 @@ class Anywhere:
     """No prediction: a window may lie anywhere in all that is searched. It answers as `Rough` does."""
 
     volume: float  # m^3: of all that is searched
-
-    def is_narrow(self, _: float) -> bool:
-        """It has to be searched."""
-        return False
-
-    def is_beside(self, _window: Window, _base: Submap, _nodes: Indices) -> bool:
-        """It may lie beside any node."""
-        return True
 
     def prior(self, window: Window, base: Submap) -> PosePrior:
         """Poses that put the window inside the base are alike probable."""
@@ -179,7 +169,9 @@ def matches(
         at = np.array([T.apply(T_walk_node.translation) for T in starts])
         is_here = base.are_near(T_base.apply(at), nodes)
         starts = [starts[k] for k in np.flatnonzero(is_here)]
-    null = _unrelated(window, index.noise, is_predicted=prior.T_base_target is not None) if starts else None
+    if not starts:
+        return []
+    null = _unrelated(window, index.noise, is_predicted=prior.T_base_target is not None)
     weighed = weigh_walk(
         index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, null
     )
@@ -198,6 +190,43 @@ def matches(
         T_node_alone = product(T_node_walk, e.T_base_target.inv(), T_alone, T_walk_node)
         found.append(Match(T, M @ e.covariance @ M.T, odds, densest - less, T_node_alone, M @ C_alone @ M.T))
     return found
+
+
+# A comparison finds nodes of the submap, and poses beside them.
+Found = list[tuple[int, Match]]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Candidate:
+    """A node near which a window may lie, and the relative pose."""
+
+    node: int
+    T_node_window: RigidTransform
+    match: Match
+
+    @classmethod
+    def beside(cls, node: int, match: Match, window: Window, T_submap_node: RigidTransform) -> "Candidate":
+        """Make one of a match in a submap, beside a node whose pose there is given."""
+        return cls(node, product(T_submap_node.inv(), match.T_base_log, window.T_log_node), match)
+
+
+@single_threaded
+def compare(
+    window: Window, submap: Submap, expected: Expected, noise: PathNoise,
+    known: Sequence[RigidTransform] | None = None, nodes: Indices | None = None,
+) -> Found:  # fmt: skip
+    """Poses of a window in a submap, most likely first, each with the node of the submap in whose window it lies.
+
+    ``noise``: of walks, as it is known now; ``known``: poses of an earlier search, which need no other; ``nodes``: in
+    whose windows it may lie, if not in all.
+    """
+    if known is None and isinstance(expected, Rough) and expected.is_narrow(window.length):
+        known = []  # what is known well is not searched for
+    found = matches(window, submap.with_noise(noise), expected, known, nodes)
+    if not found:
+        return []
+    beside = submap.nodes_near(np.array([match.T_base_log.apply(window.center) for match in found]))
+    return list(zip(beside.tolist(), found, strict=True))
 
 
 def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) -> np.ndarray:

@@ -2,7 +2,6 @@
 """Submaps: pieces of earlier path, each mapped by itself and prepared for the search of windows in it."""
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -17,7 +16,6 @@ from magmatch.registration.index.map_index import WalkIndex
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
 from magmatch.runner import Shared
-from magmatch.slam.config import SlamConfig
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
 from magmatch.slam.shared_hyperparameters import as_rough_as_here
@@ -29,13 +27,6 @@ from magmatch.typing import Indices, Mask, Points
 TOGETHER = 2
 # Posterior samples that give a submap's spread.
 N_DRAWS = 6
-N = TypeVar("N", int, Indices)
-
-
-def submap_of(node: N, first: N) -> N:
-    """First node of the submap that is made for a node's window, where the log's first node is given; or of each."""
-    found: N = node - (node - first) % TOGETHER
-    return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,11 +36,6 @@ class Submap:
     survey: Survey  # its samples
     node: Indices  # (n,): node whose window each sample lies in
     index: WalkIndex
-
-    @property
-    def volume(self) -> float:
-        """Volume of the region that it knows, m^3."""
-        return self.index.base.raster.volume
 
     def nodes_near(self, points: Points) -> Indices:
         """Nodes whose windows lie nearest to some points (k, 3) of the submap's frame: (k,)."""
@@ -93,10 +79,10 @@ def table_of(submap: Submap) -> PairTable:
 
 def volume_of(submap: Submap) -> float:
     """Volume of the region that a submap knows, m^3."""
-    return submap.volume
+    return submap.index.base.raster.volume
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class SubmapMaker:
     """Says what submaps are made of, by hyperparameters that all logs of a place share."""
 
@@ -104,7 +90,7 @@ class SubmapMaker:
     squared_gradient: float  # (T/m)^2: the mean along all paths that the hyperparameters are of
     noise: PathNoise
     length: float  # m: over which the field changes
-    config: SlamConfig
+    search: PairSearchConfig
 
     def piece(self, path: Path, node: int) -> Shared[Submap]:
         """Submap of the windows of two nodes, of which the first is given, with one more on either side."""
@@ -121,5 +107,5 @@ class SubmapMaker:
         survey = replace(survey, times=None, orientations=None)
         hyperparameters = as_rough_as_here(self.hyperparameters, self.squared_gradient, survey, self.length)
         # The noise that is known now tells which pairs of points are listed.
-        about = (survey, node, hyperparameters, self.noise, self.length, self.config.search)
+        about = (survey, node, hyperparameters, self.noise, self.length, self.search)
         return Shared(make_submap, about, len(node))
