@@ -1,19 +1,23 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Axes of a sensor that say nothing: stuck at one value, or at the end of their range.
+"""Readings that say nothing: of axes stuck at one value or at the end of their range, and marks of missing ones.
 
-Both are values that come back exactly, so they are looked for in the sensor's own axes: in those of the survey no
+All are values that come back exactly, so they are looked for in the sensor's own axes: in those of the survey no
 value comes back once the sensor turns. Readings that were turned there and back differ by rounding; `Levels` counts
 those as one value.
 """
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.data.units import TESLA_PER_UNIT, field_text
+from magmatch.errors import in_short
 from magmatch.number_text import told
 from magmatch.typing import Indices, Mask, Scalars, Vectors
+
+log = logging.getLogger(__name__)
 
 # T: fields that differ by less are equal; of any magnetometer it is rounding.
 RESOLVED = TESLA_PER_UNIT["nT"]
@@ -36,6 +40,10 @@ LONG = 20
 ALIKE = "read the same"
 # Share of readings at a limit that is worth a warning: fewer cut off no more than noise does.
 WORTH_SAYING = 0.01
+# Programs write 0, 0, 0 or a number out of range where a magnetometer gave no reading: a value that comes back
+# exactly, and is so many times the median field. Coarse or held readings beside a magnet come back too, but at many
+# values; a mark is one, or one at each end of a range.
+OUT_OF_RANGE, FEWEST, MOST_MARKS = 10.0, 2, 2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,6 +78,41 @@ def find_repeats(readings: Vectors) -> Mask:
     size = np.linalg.norm(readings[1:], axis=1)
     is_same[1:] = np.linalg.norm(np.diff(readings, axis=0), axis=1) <= ROUNDING * size
     return is_same
+
+
+def without_missing(survey: Survey) -> Survey:
+    """Leave out samples whose reading is a mark, with a warning."""
+    is_mark = missing(survey)
+    return survey.subset(~is_mark) if is_mark.any() else survey
+
+
+@np.errstate(over="ignore", invalid="ignore")  # absurd numbers become infinite; they are refused later
+def missing(survey: Survey) -> Mask:
+    """Samples whose reading is a mark, (n,), with a warning; none where all are: the columns are wrong then.
+
+    Marks are in the sensor's axes, or in those of the survey where a program turned the readings.
+    """
+    sizes = np.linalg.norm(survey.field, axis=1)
+    is_mark: Mask = np.asarray(sizes == 0)
+    if is_mark.all():
+        return np.zeros(len(survey), dtype=bool)
+    marks = ["0, 0, 0"] if is_mark.any() else []
+    most = OUT_OF_RANGE * float(np.median(sizes[~is_mark]))
+    if sizes.max() > most:  # in most surveys none is: no axis reads more than the field's size
+        turned = () if survey.orientations is None else Levels.of(sensor_readings(survey))
+        for levels in (*turned, *Levels.of(survey.field)):
+            # What is held counts, too.
+            odd = np.flatnonzero((np.abs(levels.values) > most) & (np.bincount(levels.number) >= FEWEST))
+            if len(odd) <= MOST_MARKS:
+                is_mark |= np.isin(levels.number, odd)
+                marks += [field_text(value) for value in levels.values[odd].tolist()]
+    if is_mark.all():
+        return np.zeros(len(survey), dtype=bool)
+    if is_mark.any():
+        said = " or ".join(in_short([*dict.fromkeys(marks)]))
+        words = "%s: left out %d of %d samples that read %s: marks of a missing reading, or one out of range"
+        log.warning(words, survey.name, is_mark.sum(), len(survey), said)
+    return is_mark
 
 
 def at_limit(readings: Vectors) -> Mask:
