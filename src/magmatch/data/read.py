@@ -21,7 +21,7 @@ from magmatch.data.formats.phones.read import read_phone_log, read_phone_recordi
 from magmatch.data.formats.recording import Recording
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
-from magmatch.data.missing_readings import missing, without_missing
+from magmatch.data.sensor_axes import missing, without_missing
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import FIELD_COLUMNS
 from magmatch.data.tables.pipes import at_rest
@@ -83,22 +83,21 @@ def read_survey_and_channels(
 ) -> tuple[Survey, dict[str, Scalars]]:
     """Read and check a survey, and its log's other numbers (currents, efforts) at the samples, in their own units."""
     layout = format or SurveyFormat()
-    if sniff(path) != "log":
-        # Some channels go with the samples row by row.
-        whole, used = read_as_written(path, layout)
-        is_kept, channels = ~missing(whole), channels_at(read_channels(path, layout), whole.times, len(whole))
-        survey = whole if is_kept.all() else whole.subset(is_kept)
-        return _checked(path, survey, used), {name: values[is_kept] for name, values in channels.items()}
-    recording = read_log(path, layout, with_channels=True)
-    survey, used = _joined(recording, layout)
-    survey = without_missing(replace(survey, name=Path(path).name))
-    return _checked(path, survey, used), channels_at(recording.channels, survey.times, len(survey))
+    if sniff(path) == "log":
+        recording = read_log(path, layout, with_channels=True)
+        (whole, used), numbers = _joined(path, recording, layout), recording.channels
+    else:
+        (whole, used), numbers = read_as_written(path, layout), read_channels(path, layout)
+    # Some channels go with the samples row by row.
+    is_kept, channels = ~missing(whole), channels_at(numbers, whole.times, len(whole))
+    kept = {name: values[is_kept] for name, values in channels.items()}
+    return _checked(path, whole if is_kept.all() else whole.subset(is_kept), used), kept
 
 
 def survey_of_phone(log: PhoneLog, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
     """Check the survey of a phone's log with poses that were worked out from it, in metres."""
     survey, used = _read_phone(log.path, layout, trajectory=trajectory, log=log)
-    return _checked(log.path, without_missing(replace(survey, name=log.path.name)), used)
+    return _checked(log.path, without_missing(survey), used)
 
 
 def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | None:
@@ -108,7 +107,7 @@ def read_raw_magnetometer(path: str | Path, layout: SurveyFormat) -> Survey | No
     if len(read_phone_log(path, ("field", "raw_field"), recover=layout.recover).streams) < 2:
         return None
     survey, used = _read_phone(path, layout, "raw_field")
-    survey = without_missing(replace(survey, name=Path(path).name))
+    survey = without_missing(survey)
     try:
         check_survey(replace(survey, name=str(path)), used)
     except SurveyError as error:
@@ -159,10 +158,10 @@ def kind_of(path: str | Path, layout: SurveyFormat) -> FileKind:
     return "csv" if names_columns and kind in {"phone", "tum", "rostopic"} and at_rest(path).is_file() else kind
 
 
-def _joined(recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
+def _joined(path: str | Path, recording: Recording, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
     """Field and poses of a log as a survey."""
-    survey = recording.survey()
-    return replace(survey, pose_sd=layout.pose_sd or 0.0), layout.settled(field_frame=recording.field_frame)
+    survey = replace(recording.survey(), name=Path(path).name, pose_sd=layout.pose_sd or 0.0)
+    return survey, layout.settled(field_frame=recording.field_frame)
 
 
 def _read_phone(
@@ -174,7 +173,7 @@ def _read_phone(
 ) -> tuple[Survey, SurveyFormat]:
     """A phone's magnetometer: microtesla in the phone's axes, unless stated otherwise."""
     layout = layout.settled(field_unit="uT", field_frame="sensor")
-    return _joined(read_phone_recording(path, layout, sensor, trajectory, log), layout)
+    return _joined(path, read_phone_recording(path, layout, sensor, trajectory, log), layout)
 
 
 def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyFormat]:
@@ -183,7 +182,7 @@ def _read_euroc(path: str | Path, layout: SurveyFormat) -> tuple[Survey, SurveyF
     if layout.field_axes() is not None:
         turned = dict(zip(FIELD_COLUMNS, layout.turned(table.stack(*FIELD_COLUMNS)).T, strict=True))
         table = replace(table, columns=table.columns | turned)
-    return _joined(recording_of_table(table, layout.settled(field_frame="sensor")), layout)
+    return _joined(path, recording_of_table(table, layout.settled(field_frame="sensor")), layout)
 
 
 Reader = Callable[[str | Path, SurveyFormat], tuple[Survey, SurveyFormat]]
@@ -196,5 +195,5 @@ READERS: Mapping[FileKind, Reader] = {
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
     "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout, advice_for_arrays), layout),
     "phone": _read_phone,
-    "log": lambda path, layout: _joined(read_log(path, layout), layout),
+    "log": lambda path, layout: _joined(path, read_log(path, layout), layout),
 }
