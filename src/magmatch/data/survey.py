@@ -3,11 +3,12 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from copy import copy
+from dataclasses import dataclass, replace
 from dataclasses import field as field_of
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -46,16 +47,6 @@ from magmatch.typing import Mask, Points, Scalars, Vector3, Vectors
 
 # Of a path, a row's next one is nearer than two rows at random are (rms); of rows in no order it is about as far.
 LARGEST_STEP = 0.6
-
-
-class Stated(TypedDict, total=False):
-    """Keywords for what a DataFrame or Dataset does not say of its survey; see `Survey.from_dataframe`."""
-
-    field_frame: FieldFrame
-    frame: str | None
-    name: str
-    pose_sd: float | None
-    origin: str | None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -241,7 +232,12 @@ class Survey:
         length_unit: LengthUnit = "m",
         time_unit: TimeUnit = "s",
         columns: Mapping[str, str] | None = None,
-        **stated: Unpack[Stated],
+        *,
+        field_frame: FieldFrame = "survey",
+        frame: str | None = None,
+        name: str = "DataFrame",
+        pose_sd: float | None = None,
+        origin: str | None = None,
     ) -> "Survey":
         """Survey from a DataFrame (pandas, polars) with the columns of the survey CSV, rows in the given order.
 
@@ -277,15 +273,10 @@ class Survey:
         >>> Survey.from_dataframe(df, "uT").field[1].round(8).tolist()
         [2.1e-05, 0.0, -4.5e-05]
         """
-        if unknown := stated.keys() - Stated.__annotations__.keys():
-            msg = f"expected keywords of {', '.join(Stated.__annotations__)}; got {', '.join(unknown)}"
-            raise TypeError(msg)
-        name, pose_sd = stated.get("name", "DataFrame"), stated.get("pose_sd")
         table = table_of_frame(df, name, time_unit, columns or {})
-        axes, origin = stated.get("field_frame", "survey"), stated.get("origin")
-        survey = cls.from_table(table, field_unit, length_unit, axes, origin)
-        frame, pose_sd = stated.get("frame") or survey.frame, survey.pose_sd if pose_sd is None else pose_sd
-        return replace(survey, frame=frame, name=name, pose_sd=pose_sd)
+        survey = cls.from_table(table, field_unit, length_unit, field_frame, origin)
+        pose_sd = survey.pose_sd if pose_sd is None else pose_sd
+        return replace(survey, frame=frame or survey.frame, name=name, pose_sd=pose_sd)
 
     @classmethod
     def from_xarray(
@@ -295,7 +286,7 @@ class Survey:
         length_unit: LengthUnit | None = None,
         time_unit: TimeUnit | None = None,
         columns: Mapping[str, str] | None = None,
-        **stated: Unpack[Stated],
+        **stated: Any,
     ) -> "Survey":
         """Survey from an xarray Dataset, with variables or coordinates named as the columns of the survey CSV.
 
@@ -315,16 +306,13 @@ class Survey:
         SurveyError
             A number is missing, or no survey has such numbers.
         """
-        table, units = frame_of_xarray(dataset, columns or {})
-        named: Stated = {"name": "Dataset", **stated}
-        return cls.from_dataframe(
-            table,
-            field_unit or units.get("bx", "T"),  # type: ignore[arg-type]  # checked there
-            length_unit or units.get("x", "m"),  # type: ignore[arg-type]
-            time_unit or units.get("t", "s"),  # type: ignore[arg-type]
-            columns,
-            **named,
+        table, said = frame_of_xarray(dataset, columns or {})
+        units: tuple[Any, Any, Any] = (
+            field_unit or said.get("bx", "T"),
+            length_unit or said.get("x", "m"),
+            time_unit or said.get("t", "s"),
         )
+        return cls.from_dataframe(table, *units, columns, **{"name": "Dataset", **stated})
 
     @classmethod
     def from_table(
@@ -340,9 +328,9 @@ class Survey:
 
     def _with(self, **changes: Any) -> "Survey":
         """Give the survey with some of its parts changed, which were checked before; it may be empty."""
-        survey: Survey = object.__new__(type(self))
-        for f in fields(self):
-            object.__setattr__(survey, f.name, changes[f.name] if f.name in changes else getattr(self, f.name))
+        survey = copy(self)
+        for name, value in changes.items():
+            object.__setattr__(survey, name, value)
         return survey
 
     def principal_frame(self) -> RigidTransform:
