@@ -149,18 +149,14 @@ def _require_possible_field(survey: Survey, layout: SurveyFormat | None) -> None
     if not low <= median <= high:
         if not magnitude.any():
             raise _refuse(survey, "every field value is zero: a dead sensor, or the wrong columns")
-        message = (
-            f"the median field magnitude is {field_text(median)}, expected {field_text(low)} to {field_text(high)} "
-            f"(the Earth's field is about 50 uT)"
-        )
+        expected = f"{field_text(low)} to {field_text(high)} (the Earth's field is about 50 uT)"
+        message = f"the median field magnitude is {field_text(median)}, expected {expected}"
         raise _refuse(survey, f"{message}; {_unit_advice(median, layout)}")
     worst = int(np.argmax(magnitude))
     if magnitude[worst] > MAX_FIELD:
-        raise _refuse(
-            survey,
-            f"the field of sample {worst} is {field_text(magnitude[worst])}, expected at most "
-            f"{field_text(MAX_FIELD)} (the median here is {field_text(median)}); remove such spikes",
-        )
+        found = field_text(magnitude[worst])
+        most = f"{field_text(MAX_FIELD)} (the median here is {field_text(median)})"
+        raise _refuse(survey, f"the field of sample {worst} is {found}, expected at most {most}; remove such spikes")
 
 
 def _unit_advice(median: float, layout: SurveyFormat | None) -> str:
@@ -256,20 +252,22 @@ def _are_long_steps(survey: Survey) -> Mask:
 
 
 def _doubt_jumps(survey: Survey) -> Iterator[str]:
+    if survey.times is None:
+        return
     again = _restarts(survey)
     if len(again):
-        assert survey.times is not None
-        at = f"{told(survey.times[again[0] + 1])} s" + (f", and {len(again) - 1} more" if len(again) > 1 else "")
-        said = f"the position jumps to exactly the first one at {at}"
+        said = f"the position jumps to exactly the first one at {told(survey.times[again[0] + 1])} s{_more(again)}"
         yield f"{said}: was odometry restarted there? Give each part as a log of its own"
     rows = np.setdiff1d(jumps(survey), again)
     if len(rows):
-        assert survey.times is not None
         steps = np.linalg.norm(survey.positions[rows + 1] - survey.positions[rows], axis=1)
         k = int(steps.argmax())
-        more = f", and {len(rows) - 1} more" if len(rows) > 1 else ""
-        said = f"the position jumps by {steps[k]:.3g} m at {told(survey.times[rows[k]])} s{more}"
+        said = f"the position jumps by {steps[k]:.3g} m at {told(survey.times[rows[k]])} s{_more(rows)}"
         yield f"{said}: odometry that lost itself, or two logs in one?"
+
+
+def _more(found: Indices) -> str:
+    return f", and {len(found) - 1} more" if len(found) > 1 else ""
 
 
 def _speeds(survey: Survey) -> Scalars:
@@ -298,10 +296,9 @@ def _doubt_repeats(survey: Survey) -> Iterator[str]:
     # Of a sensor that turns, readings that are held are turned with it.
     readings = sensor_readings(survey)
     is_repeat = find_repeats(survey.field) | find_repeats(readings)
-    n_stuck = int(is_repeat.sum())
     if words := _stuck_while_moving(survey, is_repeat):
         yield words
-    elif 0.05 * n < n_stuck < n:
+    elif 0.05 * n < (n_stuck := int(is_repeat.sum())) < n:
         yield f"{100 * n_stuck / n:.0f} % of the samples repeat the field before them: logged faster than measured?"
     yield from _doubt_turns(survey.positions, readings)
 
@@ -346,22 +343,20 @@ def _typical_steps(vectors: Vectors) -> tuple[float, float]:
 
 
 def _doubt_times(survey: Survey, read_as: TimeUnit) -> Iterator[str]:
-    unit = _likely_time_unit(survey, read_as)
-    if unit not in {None, read_as} and survey.times is not None:
+    if survey.times is None:
+        return
+    unit = _likely_time_unit(survey.times, survey.positions, read_as)
+    if unit not in {None, read_as}:
         step = float(np.median(np.diff(survey.times)))
         span = f"times begin at {told(survey.times[0])} s, with a sample every {step:.4g} s"
         yield f"{span}: are they in {unit}? (--time-unit {unit})"
-        return
-    gaps = time_gaps(survey)
-    if len(gaps):
+    elif len(gaps := time_gaps(survey)):
         yield f"time has {many(len(gaps), 'gap')}, {gaps.sum():.3g} s in all, the longest {gaps.max():.3g} s"
 
 
-def _likely_time_unit(survey: Survey, read_as: TimeUnit) -> TimeUnit | None:
+def _likely_time_unit(times: Scalars, positions: Points, read_as: TimeUnit) -> TimeUnit | None:
     """The unit that whole numbers of times are probably in; None where those do not look like another than stated."""
-    if survey.times is None:
-        return None
-    numbers = survey.times * UNITS_PER_SECOND[read_as]
+    numbers = times * UNITS_PER_SECOND[read_as]
     if not (np.abs(numbers - np.round(numbers)) <= ROUNDING_OF_TIMES * np.abs(numbers)).all():
         return None
     finer: tuple[TimeUnit, ...] = ("ms", "us", "ns")
@@ -370,7 +365,7 @@ def _likely_time_unit(survey: Survey, read_as: TimeUnit) -> TimeUnit | None:
         per_second = UNITS_PER_SECOND[unit]
         if SINCE_1970[0] < numbers[0] / per_second < SINCE_1970[1] and interval < RAREST * per_second:
             return unit
-    step = float(np.median(np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)))
+    step = float(np.median(np.linalg.norm(np.diff(positions, axis=0), axis=1)))
     seconds = interval / UNITS_PER_SECOND[read_as]
     if not (seconds > SLOW[0] and step < SLOW[1] * seconds):
         return None

@@ -28,7 +28,7 @@ from magmatch.data.frame_mistakes import (
     named,
 )
 from magmatch.data.geodesy import Origin
-from magmatch.data.sensor_axes import FEW, HALF, RESOLVED
+from magmatch.data.sensor_axes import FEW, HALF, RESOLVED, sensor_readings
 from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import origin_of
 from magmatch.data.units import TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit, unusual_size
@@ -95,8 +95,7 @@ def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
 
 def constant_field(survey: Survey) -> str:
     """Say that the field varies nowhere, in the survey's or in the sensor's axes; nothing if it does."""
-    read = survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
-    for field, where in ((survey.field, ""), (read, " in the sensor's axes")):
+    for field, where in ((survey.field, ""), (sensor_readings(survey), " in the sensor's axes")):
         if float(field.std(axis=0).max()) < RESOLVED:
             least = field_text(RESOLVED)
             return f"the field is constant{where} (varies less than {least}): nothing tells places apart"
@@ -166,9 +165,7 @@ def _of_frames(survey: Survey) -> Iterator[Diagnosis]:
         q = Rotation.from_euler("z", walked.heading[:, None])
         conventions = {DECLARED: Turned(field, None, q), "carried": Turned(field, q, q)}
     found = mistake_made(survey.positions, conventions) if conventions else None
-    lag = None
-    if found is not None and survey.times is not None and survey.orientations is not None:
-        lag = lag_instead(survey.positions, conventions[DECLARED], survey.times, found)
+    lag = None if found is None else lag_instead(survey.positions, conventions[DECLARED], survey.times, found)
     if lag is not None:
         behind = "late" if lag > 0 else "early"
         measured = f"the field vectors look about {abs(lag):.1g} s {behind} against the poses"

@@ -6,7 +6,7 @@ the nine numbers of a matrix of axes, so one Gram matrix gives the scatter of ev
 rotation between them. Reversing all three axes changes no scatter: the 48 ways are 24 hypotheses.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -89,10 +89,6 @@ class Found:
     share: float  # scatter that is left, of that as declared
     mount: Rotation | None = None  # takes the sensor's axes to those of the orientations, where no permutation does
 
-    def without(self, worse: Collection[FrameMistake]) -> "Found":
-        """Leave out some of the hypotheses."""
-        return replace(self, hypotheses=tuple(one for one in self.hypotheses if one not in worse))
-
 
 def mistake_made(points: Points, conventions: Mapping[str, Turned]) -> Found | None:
     """The mistake whose correction scatters least; None if none does, in the whole and in each part.
@@ -112,16 +108,18 @@ def mistake_made(points: Points, conventions: Mapping[str, Turned]) -> Found | N
             continue
         parts = parts or _parts(points, conventions)
         if all(part.agrees(found, free=free) for part in parts):
-            told.append(found.without({one for one in found.hypotheses if _is_worse(one, found, parts, free=free)}))
+            left = (one for one in found.hypotheses if not _is_worse(one, found, parts, free=free))
+            told.append(replace(found, hypotheses=tuple(left)))
     return min(told, key=lambda found: len(found.hypotheses), default=None)
 
 
-def lag_instead(points: Points, declared: Turned, times: Scalars, found: Found) -> float | None:
+def lag_instead(points: Points, declared: Turned, times: Scalars | None, found: Found) -> float | None:
     """The lag (s) of the readings behind the poses that scatters as little as what was found; None if none does.
 
     Of a carrier that turns steadily one way, readings that come late look like those of a sensor mounted turned.
     """
-    assert declared.turned_by is not None
+    if times is None or declared.turned_by is None:
+        return None
     interval = max(float(np.median(np.diff(times))), np.finfo(float).tiny)
     most = min(int(CLOCKS_APART / interval), len(points) // N_PARTS)
     rows = np.unique(np.linspace(-most, most, 2 * min(most, N_LAGS) + 1).round().astype(int))
@@ -166,14 +164,10 @@ class _Judged:
 
     @classmethod
     def of(cls, points: Points, conventions: Mapping[str, Turned]) -> "_Judged":
-        near = _neighbours(points)
-        asked = {name: _grams(one, near) for name, one in conventions.items()}
-        grams, earth = (
-            {name: two for name, (two, _) in asked.items()},
-            {name: part for name, (_, part) in asked.items()},
-        )
+        near, grams, earth = _neighbours(points), {}, {}
         hypotheses, values, stands = [], [], []
         for name, one in conventions.items():
+            grams[name], earth[name] = _grams(one, near)
             axes = AXES if one.any_axes else {OWN: AXES[OWN]}
             numbers = np.array(list(axes.values())).reshape(-1, 9)
             hypotheses += [FrameMistake(name, words) for words in axes]
@@ -223,10 +217,9 @@ class _Judged:
         apart = _apart(axes, turned) > MOUNT
         around = mount * Rotation.from_rotvec(np.radians(MOUNT) * DIRECTIONS)
         others += [*values[apart], *gram.scatter(around.as_matrix().reshape(-1, 9))]
-        is_mount = free and mount.magnitude() > np.radians(MOUNT)
-        if not is_mount or LESS * min(others) <= least:
-            return None
-        return Found((), least / declared, mount) if _stand_still(self.earth[DECLARED], axes.reshape(1, 9)) else None
+        is_certain = free and mount.magnitude() > np.radians(MOUNT) and LESS * min(others) > least
+        is_certain = is_certain and bool(_stand_still(self.earth[DECLARED], axes.reshape(1, 9))[0])
+        return Found((), least / declared, mount) if is_certain else None
 
     def agrees(self, found: Found, *, free: bool) -> bool:
         """Whether these samples alone tell of the same mistake."""
