@@ -77,9 +77,7 @@ def frame_of_xarray(dataset: Any, theirs: Mapping[str, str]) -> tuple[Any, dict[
     units: dict[str, str] = {}
     for group in (("x", "y", "z"), ("bx", "by", "bz"), ("t",)):
         there = (dataset.variables.get(theirs.get(ours, ours)) for ours in group)
-        stated = {
-            str(variable.attrs["units"]) for variable in there if variable is not None and "units" in variable.attrs
-        }
+        stated = {str(one.attrs["units"]) for one in there if one is not None and "units" in one.attrs}
         if len(stated) > 1:
             said = " and ".join(sorted(stated))
             msg = f"columns: expected one unit for {', '.join(group)}, got {said}; convert them first"

@@ -65,21 +65,16 @@ def fetch(name: str, source_dir: str | Path | None = None) -> dict[str, Path]:
 
     Files that are already there and whole are kept. The licence and the citation are logged before any download.
     """
-    dataset = find_dataset(name)
-    cache = cache_folder() / name
-    there = {
-        file: hashlib.sha256(read_bytes(cache / file)).hexdigest()
-        for file in dataset.files
-        if (cache / file).is_file()
-    }
-    missing = [file for file, digest in dataset.files.items() if there.get(file) != digest]
+    dataset, cache = find_dataset(name), cache_folder() / name
     logger.info("%s: %s. Licence: %s Cite: %s", name, dataset.title, dataset.licence, dataset.citation)
     sources = None if source_dir is None else verified_files(name, source_dir)
-    for file in missing:
-        content = _download(dataset, file) if sources is None else dataset.content(sources[file])
-        (cache / file).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(cache / file, content)
-    return {file: cache / file for file in dataset.files}
+    files = {file: cache / file for file in dataset.files}
+    for file, path in files.items():
+        if not path.is_file() or _sha256(read_bytes(path)) != dataset.files[file]:
+            content = _download(dataset, file) if sources is None else dataset.content(sources[file])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(path, content)
+    return files
 
 
 def verified_files(name: str, source_dir: str | Path) -> dict[str, Path]:
@@ -94,11 +89,9 @@ def verified_files(name: str, source_dir: str | Path) -> dict[str, Path]:
         if dataset.kept and not path.is_file():  # text, which may be packed
             path = path.with_name(f"{path.name}.gz")
         if not path.is_file():
-            raise DataFormatError(
-                path, f"no such file, but dataset '{name}' needs it; get it from {dataset.url(file)}"
-            )
-        found = hashlib.sha256(dataset.content(path)).hexdigest()
-        if found != digest:
+            message = f"no such file, but dataset '{name}' needs it; get it from {dataset.url(file)}"
+            raise DataFormatError(path, message)
+        if (found := _sha256(dataset.content(path))) != digest:
             message = f"is not the published file: expected SHA-256 {digest[:12]}..., found {found[:12]}..."
             raise DataFormatError(path, message)
         files[file] = path
@@ -128,15 +121,17 @@ def _download(dataset: Dataset, file: str) -> bytes:
         msg = f"dataset '{dataset.name}': {url} is not what was published: {' '.join(str(error).split())}"
         raise DatasetError(msg) from None
     except OSError as error:  # requests' errors are OSErrors
-        msg = (
-            f"dataset '{dataset.name}': cannot download {url} ({_reason(error)}). Without a connection, "
-            f"copy its files into a folder and use --from FOLDER"
-        )
+        advice = "Without a connection, copy its files into a folder and use --from FOLDER"
+        msg = f"dataset '{dataset.name}': cannot download {url} ({_reason(error)}). {advice}"
         raise DatasetError(msg) from None
-    if hashlib.sha256(content).hexdigest() != digest:
+    if _sha256(content) != digest:
         msg = f"dataset '{dataset.name}': {url} is not what was published: its lines differ"
         raise DatasetError(msg)
     return content
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _reason(error: OSError) -> str:

@@ -136,10 +136,9 @@ class TypedDocument:
         document = read_document(path, cls.SCHEMA, cls.KIND, cls.MAX_BYTES)
         try:
             found = adapter_of(cls).validate_python(document)
-        except ValidationError as error:
-            fault: tuple[str, str] | None = first_fault(error)
-        else:
             fault = found.fault()
+        except ValidationError as error:
+            fault = first_fault(error)
         if fault is not None:
             raise DataFormatError(path, f"key '{fault[0]}': {fault[1]}")
         return found

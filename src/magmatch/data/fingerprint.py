@@ -25,14 +25,13 @@ def hash_survey(survey: Survey) -> str:
     if survey.times is not None:
         parts["times"] = survey.times
     if survey.orientations is not None:
-        parts["orientations"] = survey.orientations.as_quat(canonical=True).astype("<f4")
+        parts["orientations"] = survey.orientations.as_quat(canonical=True)
     parts["pose_sd"] = np.array([survey.pose_sd])
     for name, values in parts.items():
         # Adding zero takes the sign off negative zeros, which text need not keep.
-        block = np.ascontiguousarray(values + 0.0)
-        kind = "<f4" if block.dtype == np.float32 else "<f8"
-        digest.update(f"{name} {block.shape} {kind};".encode())
-        digest.update(block.astype(kind).tobytes())
+        kind = "<f4" if name == "orientations" else "<f8"
+        block = values.astype(kind) + 0.0
+        digest.update(f"{name} {block.shape} {kind};".encode() + block.astype(kind).tobytes())
     return digest.hexdigest()
 
 

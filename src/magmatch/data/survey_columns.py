@@ -71,9 +71,8 @@ def choose_columns(
     values = {ours: constant_of(text) for ours, text in stated.items() if text not in there}
     constants = {ours: value for ours, value in values.items() if value is not None}
     for ours in constants.keys() - MAY_BE_CONSTANT:
-        msg = (
-            f"columns: expected a column for {ours}, found the constant {stated[ours]}; numbers of columns begin at 1"
-        )
+        found_it = f"expected a column for {ours}, found the constant {stated[ours]}"
+        msg = f"columns: {found_it}; numbers of columns begin at 1"
         raise ConfigurationError(msg)
     theirs: dict[str, str] = {}
     for ours, text in stated.items():
@@ -89,9 +88,8 @@ def choose_columns(
     chosen = theirs | _guessed([name for name in there if name not in theirs], stated, has_poses=has_poses)
     for name in chosen:
         if there.count(name) > 1:
-            raise DataFormatError(
-                path, f"the column appears {there.count(name)} times; rename the others", column=name
-            )
+            message = f"the column appears {there.count(name)} times; rename the others"
+            raise DataFormatError(path, message, column=name)
     return ChosenColumns(chosen, constants)
 
 
@@ -184,10 +182,8 @@ def local_positions(table: Table, metre: float, stated: str | None) -> tuple[Poi
     if wrong := what_is_wrong(lat, lon):
         raise DataFormatError(table.path, wrong, column="lat, lon")
     if look_like_radians(lat, lon):
-        words = (
-            "%s: lat, lon: expected degrees, found places at sea, such as %.6g, %.6g: radians? Multiply them by %.7f"
-        )
-        logger.warning(words, table.path, lat[0], lon[0], np.degrees(1))
+        words = "expected degrees, found places at sea, such as %.6g, %.6g: radians? Multiply them by %.7f"
+        logger.warning("%s: lat, lon: " + words, table.path, lat[0], lon[0], np.degrees(1))
     is_altitude = table.has("alt")
     origin = Origin.of(stated) if stated else Origin.near(lat[0], lon[0], height[0] if is_altitude else 0.0)
     if not stated:
@@ -239,10 +235,8 @@ def _about(table: Table) -> dict[str, Any]:
     except (ValueError, TypeError, AttributeError):
         pose_sd = -1.0
     if not 0 <= pose_sd < np.inf:
-        message = (
-            f'expected {SCHEMA} {{"frame": ..., "pose_sd": ...}} in its first comment, found {text.strip()[:60]}'
-        )
-        raise DataFormatError(table.path, message)
+        message = f'expected {SCHEMA} {{"frame": ..., "pose_sd": ...}} in its first comment'
+        raise DataFormatError(table.path, f"{message}, found {text.strip()[:60]}")
     stated = table.columns.get(ACCURACY_COLUMN, np.array([pose_sd]))
     if stated.min() < 0 or np.ptp(stated):
         message = f"expected one standard deviation in m for all rows, found {stated.min():g} to {stated.max():g}"
