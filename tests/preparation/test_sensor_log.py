@@ -27,13 +27,6 @@ def log():
     return SensorLog.of(Survey(positions, field, t, orientations))
 
 
-def test_readings_are_the_field_in_the_sensors_frame(log):
-    R = log.orientations.as_matrix()
-    np.testing.assert_allclose(
-        np.einsum("nij,nj->ni", R, log.readings), np.tile([2e-5, 0, -4e-5], (200, 1)), atol=1e-18
-    )
-
-
 def test_moved_stamps_have_the_poses_of_their_time(log):
     rows = np.arange(20, 150)
     positions, orientations = log.subset(rows).at(0.03)
@@ -44,19 +37,11 @@ def test_moved_stamps_have_the_poses_of_their_time(log):
 
 
 def test_velocity_and_spin_are_the_derivatives_of_the_poses_in_the_surveys_axes(log):
-    found = log.subset(np.arange(5, 190)).poses(0.013)
-    np.testing.assert_allclose(found.velocity, np.tile(VELOCITY, (185, 1)), atol=1e-9)
-    np.testing.assert_allclose(found.spin, np.tile(SPIN, (185, 1)), atol=1e-9)
+    velocity, spin = log.subset(np.arange(5, 190)).motion(0.013)
+    np.testing.assert_allclose(velocity, np.tile(VELOCITY, (185, 1)), atol=1e-9)
+    np.testing.assert_allclose(spin, np.tile(SPIN, (185, 1)), atol=1e-9)
     # At the ends over what there is of the trajectory.
-    np.testing.assert_allclose(log.poses(0.0).velocity, np.tile(VELOCITY, (200, 1)), atol=1e-9)
-
-
-def test_readings_are_covered_where_they_have_a_pose_give_or_take_the_margin(log):
-    assert log.covered(0.0).all()
-    assert log.covered(0.1).sum() == 195
-    assert log.covered(-0.1).sum() == 195
-    both = log.covered(0.0, 0.1)
-    assert (both.sum(), both[5], both[4], both[-6], both[-5]) == (190, True, False, True, False)
+    np.testing.assert_allclose(log.motion(0.0)[0], np.tile(VELOCITY, (200, 1)), atol=1e-9)
 
 
 def test_a_trajectory_of_its_own_is_used_and_one_pose_is_none(log):

@@ -98,14 +98,10 @@ def _require_sensor(readings: Vectors, model: SensorCorrection, solution: Soluti
     # The axis that a sensor was turned about reads one value, too: its offset stays open.
     stuck = [axis for axis in find_stuck(readings) if not solution.is_open["hard_iron"][axis]]
     why = f"the sensor's {'xyz'[stuck[0]]} axis is stuck or at the end of its range" if stuck else ""
-    if why := why or why_no_sensor(model) or why_no_field(readings, corrected):
-        msg = f"{why}; turn the sensor about in one place, away from steel"
-        raise SurveyError(msg)
     magnitude = np.linalg.norm(corrected, axis=1)
     misfit = MEDIAN_TO_SD * float(np.median(np.abs(magnitude - np.median(magnitude)))) / float(np.median(magnitude))
-    if misfit > WORST_FIT:
-        msg = (
-            f"no ellipsoid fits: the magnitude still varies by {misfit:.0%} after the correction; "
-            "turn the sensor about in one place, away from steel"
-        )
+    unfit = f"no ellipsoid fits: the magnitude still varies by {misfit:.0%} after the correction"
+    why = why or why_no_sensor(model) or why_no_field(readings, corrected) or (unfit if misfit > WORST_FIT else "")
+    if why:
+        msg = f"{why}; turn the sensor about in one place, away from steel"
         raise SurveyError(msg)

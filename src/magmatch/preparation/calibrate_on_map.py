@@ -143,10 +143,7 @@ def switches_of(
     config: PreparationConfig, sensor_log: SensorLog, channels: Mapping[str, Scalars]
 ) -> dict[str, Switch]:
     """Unknowns that are to be estimated, and whether they must be shown."""
-    c = config.calibration
-    switches: dict[str, Switch] = {
-        "hard_iron": c.hard_iron, "soft_iron": c.soft_iron, "misalignment": c.misalignment,
-    }  # fmt: skip
+    switches: dict[str, Switch] = {name: getattr(config.calibration, name) for name in EXPECTED_SD}
     if sensor_log.times is not None:
         switches["time_offset"] = config.time_offset.mode
     if config.currents.mode == "remove":
@@ -218,17 +215,17 @@ class _Estimator:
 
     def _linearised(self, model: SensorCorrection, active: set[str]) -> System:
         """Columns of all active unknowns about a model."""
-        poses = self.part.poses(model.time_offset)
-        R = poses.orientations.as_matrix()
-        consistency = MapConsistency(poses.positions, self.hyperparameters, self.weights)
+        positions, orientations = self.part.at(model.time_offset)
+        R = orientations.as_matrix()
+        consistency = MapConsistency(positions, self.hyperparameters, self.weights)
         y = np.einsum("nij,nj->ni", R, self.part.readings)
         blocks = sensor_blocks(R, self.part.readings, {k: v for k, v in self.sizes.items() if k in active})
         used = {name: values for name, values in self.channels.items() if CHANNEL + name in active}
         blocks |= channel_blocks(R, used, CHANNEL_SD)
         if "time_offset" in active:
+            velocity, spin = self.part.motion(model.time_offset)
             field = np.einsum("nij,nj->ni", R, model.corrected(self.part.readings, self.channels))
-            moved = np.einsum("nij,nj->ni", consistency.gradient(field), poses.velocity)
-            drift = np.cross(poses.spin, field) - moved
+            drift = np.cross(spin, field) - np.einsum("nij,nj->ni", consistency.gradient(field), velocity)
             blocks["time_offset"] = ParameterBlock(drift[None], TIME_OFFSET_SD)
             y = y - model.time_offset * drift
         return System.of(y, blocks, consistency.project)

@@ -2,6 +2,7 @@
 """The calibration in words and figures: what was corrected, not significant, or not determined by the data."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from magmatch.preparation.calibrate_on_map import CalibrationEstimate
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.preparation_report import Outcome, StepReport
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.sensor_model import CHANNEL, SensorCorrection
+from magmatch.preparation.sensor_model import CHANNEL, EXPECTED_SD, SensorCorrection
 from magmatch.typing import Scalars
 
 AXES = ("x", "y", "z")
@@ -23,11 +24,7 @@ def calibration_steps(
     channels: Mapping[str, Scalars], why_not: str,
 ) -> list[StepReport]:  # fmt: skip
     """Reports of the time offset, hard iron, soft iron, misalignment and each channel."""
-    c = config.calibration
-    modes = {
-        "time_offset": config.time_offset.mode, "hard_iron": c.hard_iron, "soft_iron": c.soft_iron,
-        "misalignment": c.misalignment,
-    }  # fmt: skip
+    modes = {"time_offset": config.time_offset.mode} | {n: getattr(config.calibration, n) for n in EXPECTED_SD}
     steps = []
     for name, mode in modes.items():
         label = name.replace("_", " ")
@@ -52,9 +49,8 @@ def known_sensor_step(sensor: SensorCorrection | None) -> StepReport:
         return StepReport("known sensor", "off", "")
     hard = ", ".join(f"{axis} {1e6 * value:+.3g}" for axis, value in zip(AXES, sensor.hard_iron, strict=True))
     soft = 100 * float(np.abs(sensor.soft_iron - np.eye(3)).max())
-    return StepReport(
-        "known sensor", "applied", f"hard iron {hard} uT, soft iron up to {soft:.2g} %, taken off first"
-    )
+    words = f"hard iron {hard} uT, soft iron up to {soft:.2g} %, taken off first"
+    return StepReport("known sensor", "applied", words)
 
 
 def estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.ndarray) -> str:
@@ -73,23 +69,26 @@ def estimate_text(name: str, estimate: np.ndarray, sd: np.ndarray, is_open: np.n
     hidden = ", ".join(part for part, _, flag in rows if flag)
     prefix = "correction " if name == "soft_iron" else ""
     sure = f" (sd up to {per_unit * sd[~is_open].max():.2g})" if not is_open.all() else ""
-    text = f"{prefix}{', '.join(known)} {unit}{sure}" if known else ""
+    said = [f"{prefix}{', '.join(known)} {unit}{sure}"] if known else []
     if hidden:
-        text += (
-            f"{'; ' if text else ''}{hidden} not separable from the place's own field: the sensor turned too little"
-        )
-    return text
+        said.append(f"{hidden} not separable from the place's own field: the sensor turned too little")
+    return "; ".join(said)
 
 
 def _held_out_step(calibration: CalibrationEstimate) -> StepReport:
     """All corrections together, judged by stretches that were left out."""
-    before, after = (value / TESLA_PER_UNIT["uT"] for value in calibration.held_out)
+    words, is_applied = "median error of a map on held-out stretches", not calibration.model.is_identity
     if calibration.refused:
-        words = f"withdrawn, none was applied: {calibration.refused}"
-        return StepReport("all corrections", "unchanged", words, before, after, "uT")
-    outcome: Outcome = "unchanged" if calibration.model.is_identity else "applied"
-    words = "median error of a map on held-out stretches"
-    return StepReport("all corrections", outcome, words, before, after, "uT")
+        words, is_applied = f"withdrawn, none was applied: {calibration.refused}", False
+    return _in_microtesla("all corrections", "applied" if is_applied else "unchanged", words, *calibration.held_out)
+
+
+def _in_microtesla(
+    name: str, outcome: Outcome, words: str, before: float, after: float, figures: Mapping[str, Any] | None = None
+) -> StepReport:
+    """Report a step by what it left of an error, T."""
+    before, after = (value / TESLA_PER_UNIT["uT"] for value in (before, after))
+    return StepReport(name, outcome, words, before, after, "uT", figures or {})
 
 
 def _why_not(name: str, sensor_log: SensorLog | None, why_not: str) -> str:
@@ -123,8 +122,7 @@ def _error_report(name: str, label: str, calibration: CalibrationEstimate) -> St
         figures["soft_iron"] = calibration.model.soft_iron.tolist()
     after = calibration.inconsistency[1]
     before = calibration.without.get(name, after) if is_kept else after
-    before, after = (value / TESLA_PER_UNIT["uT"] for value in (before, after))
-    return StepReport(label, outcome, words, before, after, "uT", figures)
+    return _in_microtesla(label, outcome, words, before, after, figures)
 
 
 def _channel_report(
@@ -145,5 +143,4 @@ def _channel_report(
     if is_shown and not is_removed:
         words += "; kept (currents.mode: remove takes it off)"
     figures = {"estimate": estimate.tolist(), "sd": sd.tolist(), "p_value": solution.p_value[name]}
-    before, after = (value / TESLA_PER_UNIT["uT"] for value in (before, after))
-    return StepReport(name, outcome, words, before, after, "uT", figures)
+    return _in_microtesla(name, outcome, words, before, after, figures)

@@ -38,10 +38,8 @@ def affordable(points: Points, hyperparameters: Hyperparameters) -> Hyperparamet
         spacing = COARSER * h.spacing
         h = replace(h, spacing=spacing, lengthscale=max(h.lengthscale, LENGTHSCALE_IN_SPACINGS * spacing))
     if h.lengthscale > hyperparameters.lengthscale:
-        change = hyperparameters.lengthscale, h.lengthscale
-        log.warning(
-            "a map in detail of %.2g m is too large, %.2g m are taken; --thin METRES takes fewer samples", *change
-        )
+        words = "a map in detail of %.2g m is too large, %.2g m are taken; --thin METRES takes fewer samples"
+        log.warning(words, hyperparameters.lengthscale, h.lengthscale)
     return h
 
 

@@ -56,15 +56,10 @@ def earth_step(field: Vectors, place: Place | None) -> StepReport:
     if not PLAUSIBLE_RATIO[0] <= ratio <= PLAUSIBLE_RATIO[1]:
         oddities.append(f"its magnitude is {ratio:.3g} times that: {_ratio_advice(ratio)}")
     if bend > PLAUSIBLE_BEND:
-        oddities.append(
-            f"its inclination is {bend:.0f} deg off: z is not up in this frame, the field frame is wrong, "
-            "or hard iron is left"
-        )
-    words = (
-        f"mean field {field_text(magnitude)} at {dip:.0f} deg, Earth's field here "
-        f"{field_text(expected)} at {expected_dip:.0f} deg"
-    )
-    words += ": " + ("; ".join(oddities) if oddities else "plausible")
+        why = "z is not up in this frame, the field frame is wrong, or hard iron is left"
+        oddities.append(f"its inclination is {bend:.0f} deg off: {why}")
+    here, there = f"{field_text(magnitude)} at {dip:.0f} deg", f"{field_text(expected)} at {expected_dip:.0f} deg"
+    words = f"mean field {here}, Earth's field here {there}: {'; '.join(oddities) or 'plausible'}"
     figures = {
         "magnitude": magnitude, "expected_magnitude": expected, "inclination_deg": dip,
         "expected_inclination_deg": expected_dip, "is_plausible": not oddities,

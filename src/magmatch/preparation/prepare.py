@@ -13,7 +13,7 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.errors import SurveyError
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.earth_field import Place, earth_step
-from magmatch.preparation.preparation_report import PreparationReport, StepReport, report_on
+from magmatch.preparation.preparation_report import Outcome, PreparationReport, StepReport, report_on
 from magmatch.preparation.sensor_estimate import estimate_sensor
 from magmatch.preparation.sensor_model import SensorCorrection
 from magmatch.preparation.survey_steps import find_disturbances, resampling_step, thinned
@@ -66,17 +66,13 @@ def prepare(
         Nothing is left after removing disturbances.
     """
     require_survey(survey)
-    return _prepared(
-        survey, warn([survey]), config,
-        trajectory=trajectory, channels=channels, place=place, sensor=sensor, progress=progress,
-    )  # fmt: skip
+    return _prepared(survey, warn([survey]), config, trajectory, channels, place, sensor, progress)
 
 
 def _prepared(
     survey: Survey,
     found: Sequence[Diagnosis],
     config: PreparationConfig | None,
-    *,
     trajectory: Trajectory | None = None,
     channels: Mapping[str, Scalars] | None = None,
     place: Place | None = None,
@@ -84,7 +80,7 @@ def _prepared(
     progress: Progress | None = None,
 ) -> tuple[Survey, PreparationReport]:
     """Prepare a survey in which these errors were found; see `prepare`."""
-    is_wrong = any(one.is_of_frames for one in found)
+    why_not = WRONG_FRAME if any(one.is_of_frames for one in found) else ""
     config = config or PreparationConfig()
     expect_kind(config, "config", (PreparationConfig,))
     if trajectory is not None:
@@ -96,9 +92,7 @@ def _prepared(
         survey, channels, steps = thinned(survey, channels, config.thin)
         require_survey(survey)
     with followed(progress):
-        estimated = estimate_sensor(
-            survey, trajectory, channels, sensor, config, why_not=WRONG_FRAME if is_wrong else ""
-        )
+        estimated = estimate_sensor(survey, trajectory, channels, sensor, config, why_not=why_not)
         corrected, rows = estimated.correct(survey)
         readings = estimated.readings(survey)[rows]
         kept, disturbances = find_disturbances(corrected, readings, estimated.calibration, config)
@@ -136,22 +130,19 @@ def prepare_either(
     require_survey(raw)
     # Wrong frames are told of the phone's own; that raw readings are of another size than on Earth is their offset.
     done = {"the phone's own": prepare(own, config, **known), "raw": _prepared(raw, diagnose(raw), config, **known)}
-    reports = {name: report for name, (_, report) in done.items()}
-    misfit = {name: _held_out(report) for name, report in reports.items()}
-    before, after = misfit.values()
-    open_axes = _open_axes(reports["raw"])
+    before, after = (_held_out(report) for _, report in done.values())
+    open_axes = _open_axes(done["raw"][1])
     if open_axes or before is None or after is None:
         taken, why = "the phone's own", f"the motion does not determine the raw ones' bias{open_axes}"
     else:
-        taken = min(misfit, key=lambda name: float(misfit[name] or 0.0))
+        taken = "raw" if after < before else "the phone's own"
         why = (
             f"a map misses left-out stretches by {before:.3g} uT with the phone's own, by {after:.3g} uT with the raw"
         )
+    outcome: Outcome = "applied" if taken == "raw" else "unchanged"
+    figures = {"taken": taken.removeprefix("the phone's "), "held_out": [before, after]}
     words = f"readings taken: {taken}; {why}"
-    step = StepReport(
-        "magnetometer", "unchanged" if taken != "raw" else "applied", words, before, after, "uT",
-        {"taken": "own" if taken != "raw" else "raw", "held_out": [before, after]},
-    )  # fmt: skip
+    step = StepReport("magnetometer", outcome, words, before, after, "uT", figures)
     survey, report = done[taken]
     return survey, replace(report, steps=(step, *report.steps))
 

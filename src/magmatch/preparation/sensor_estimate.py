@@ -52,7 +52,7 @@ class SensorEstimate:
     def correct(self, survey: Survey) -> tuple[Survey, Indices]:
         """Correct a survey; see `apply_model`."""
         is_changed = self.known is not None or len(self.cuts) > 0
-        every = _with_pieces(self.channels, self.cuts, len(survey))
+        every = {**self.channels, **self.cuts.channels(len(survey))}
         return apply_model(survey, self.log, self.model, every, is_changed=is_changed)
 
     def steps(self, config: PreparationConfig) -> list[StepReport]:
@@ -89,7 +89,7 @@ def estimate_sensor(
     joined = cuts.joined(sensor_log) if len(cuts) else sensor_log
     if why := why_no_field(*(log.orientations.apply(log.readings) for log in (sensor_log, joined))):
         cuts, joined = cuts.withdrawn(why), sensor_log
-    every, is_good = _with_pieces(channels, cuts, len(joined)), trusted(joined, config)
+    every, is_good = {**channels, **cuts.channels(len(joined))}, trusted(joined, config)
     calibration = calibrate(joined, config, every, is_good)
     why_not = (
         f"too few samples to tell: {is_good.sum()} of {len(survey)} are not held, at the end of the range or spikes"
@@ -114,11 +114,6 @@ def _why_no_estimate(survey: Survey) -> str:
         most = f"within {100 * STILL:.0f} cm and {np.degrees(UNTURNED):.0f} deg"
         return f"the sensor does not move ({most}): nothing tells its errors from the field of the place"
     return ""
-
-
-def _with_pieces(channels: Mapping[str, Scalars], cuts: Recalibrations, n: int) -> Mapping[str, Scalars]:
-    """A log's channels, and one for each piece between the cuts."""
-    return {**channels, **cuts.channels(n)} if len(cuts) else channels
 
 
 def trusted(sensor_log: SensorLog, config: PreparationConfig) -> Mask:

@@ -12,16 +12,6 @@ from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class SensorPoses:
-    """The poses of the sensor at the times of some readings."""
-
-    positions: Points  # (n, 3), m: survey frame
-    orientations: Rotation  # length n: takes sensor coordinates to survey coordinates
-    velocity: Vectors  # (n, 3), m/s: survey frame
-    spin: Vectors  # (n, 3), rad/s: angular velocity, survey frame: ``dR/dt = [spin]x R``
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class SensorLog:
     """Readings in the sensor's frame and the poses they were taken at."""
 
@@ -70,16 +60,14 @@ class SensorLog:
             return self.positions, self.orientations
         return self.trajectory.interpolate(self.times + offset)
 
-    def poses(self, offset: float) -> SensorPoses:
-        """Poses with the stamps moved by an offset, and how fast they change."""
-        positions, orientations = self.at(offset)
+    def motion(self, offset: float) -> tuple[Vectors, Vectors]:
+        """Velocity (n, 3), m/s, and spin (n, 3), rad/s, ``dR/dt = [spin]x R``, with stamps moved; survey frame."""
         if self.times is None or self.trajectory is None:
-            still = np.zeros_like(positions)
-            return SensorPoses(positions, orientations, still, still)
+            return np.zeros_like(self.positions), np.zeros_like(self.positions)
         # Across one interval of the trajectory: shorter differences see only its interpolation.
         half = float(np.median(np.diff(self.trajectory.times))) / 2
         first, last = self.trajectory.times[[0, -1]]
         before, after = (np.clip(self.times + offset + step, first, last) for step in (-half, half))
         (p0, R0), (p1, R1) = self.trajectory.interpolate(before), self.trajectory.interpolate(after)
         span = np.maximum(after - before, 1e-9)[:, None]
-        return SensorPoses(positions, orientations, (p1 - p0) / span, (R1 * R0.inv()).as_rotvec() / span)
+        return (p1 - p0) / span, (R1 * R0.inv()).as_rotvec() / span

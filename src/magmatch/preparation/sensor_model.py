@@ -53,11 +53,8 @@ class SensorCorrection:
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "SensorCorrection":
         """Matrix and shift as a file holds them; ValueError where they are none."""
-        matrix = np.array(content["matrix"], dtype=np.float64)
-        shift = np.array(content["shift"], dtype=np.float64)
-        is_one = (
-            matrix.shape == (3, 3) and shift.shape == (3,) and np.isfinite(matrix).all() and np.isfinite(shift).all()
-        )
+        matrix, shift = (np.array(content[name], dtype=np.float64) for name in ("matrix", "shift"))
+        is_one = matrix.shape == (3, 3) and shift.shape == (3,) and bool(np.isfinite([*matrix, shift]).all())
         if not is_one or not 0.1 < abs(np.linalg.det(matrix)) < 10:
             msg = "expected a 3x3 matrix near the identity and 3 numbers"
             raise ValueError(msg)
@@ -154,9 +151,8 @@ def why_no_sensor(model: SensorCorrection) -> str:
     turn = float(np.linalg.norm(model.misalignment))
     if turn > MOST_TURN:
         most = f"{np.degrees(MOST_TURN):.0f} deg"
-        return (
-            f"a misalignment of {np.degrees(turn):.0f} deg is more than the {most} that can be told: state the axes"
-        )
+        found = f"a misalignment of {np.degrees(turn):.0f} deg"
+        return f"{found} is more than the {most} that can be told: state the axes"
     return ""
 
 
@@ -171,8 +167,6 @@ def why_no_field(as_read: Vectors, corrected: Vectors) -> str:
     spreads["the field"] = np.sqrt(as_read.var(axis=0).sum()), np.sqrt(corrected.var(axis=0).sum())
     for name, (before, after) in spreads.items():
         if after > np.hypot((1 + MOST_SOFT_IRON) * before, NOISE * median[0]):
-            spread = f"from {field_text(float(before))} to {field_text(float(after))}"
-            return (
-                f"{name} would vary more along the path, {spread}: errors of a sensor make it vary, not their removal"
-            )
+            more = f"more along the path, from {field_text(float(before))} to {field_text(float(after))}"
+            return f"{name} would vary {more}: errors of a sensor make it vary, not their removal"
     return ""

@@ -42,21 +42,18 @@ def find_disturbances(
     modes, in_order = config.disturbances, survey.times is not None
     h = cache(partial(_hyperparameters, survey, calibration, config))
     kept, steps = np.ones(len(survey), dtype=bool), []
-    gaps = time_gaps(survey)
+    gaps, at = time_gaps(survey), (survey.positions, survey.field)
     gap_words = f"; {len(gaps)} gaps in time, the longest {gaps.max():.3g} s" if len(gaps) else ""
-
-    def spikes() -> Mask:
-        return find_spikes(survey.positions, survey.field, h(), modes.spike_threshold, in_order=in_order)
-
-    found: list[tuple[str, Flagging, Callable[[], Mask], str]] = [
-        ("drop-outs", modes.drop_outs, lambda: find_repeats(readings), "readings equal the previous one" + gap_words),
-        ("saturation", modes.saturation, lambda: find_saturation(readings),
-         "readings at the end of the sensor's range"),
-        ("spikes", modes.spikes, spikes, "samples fit neither their neighbours nor the map"),
-        ("moving metal", modes.moving_metal, lambda: find_contradictions(survey.positions, survey.field, h()),
-         "samples contradict other passes of the same places"),
-    ]  # fmt: skip
-    for name, mode, find, words in found:
+    found: dict[str, tuple[Flagging, Callable[[], Mask], str]] = {
+        "drop-outs": (modes.drop_outs, lambda: find_repeats(readings), "readings equal the previous one" + gap_words),
+        "saturation": (modes.saturation, lambda: find_saturation(readings),
+                       "readings at the end of the sensor's range"),
+        "spikes": (modes.spikes, lambda: find_spikes(*at, h(), modes.spike_threshold, in_order=in_order),
+                   "samples fit neither their neighbours nor the map"),
+        "moving metal": (modes.moving_metal, lambda: find_contradictions(*at, h()),
+                         "samples contradict other passes of the same places"),
+    }  # fmt: skip
+    for name, (mode, find, words) in found.items():
         if mode == "off":
             steps.append(StepReport(name, "off", ""))
             continue

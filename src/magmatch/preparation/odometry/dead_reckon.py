@@ -163,10 +163,8 @@ def _require_radians(phone: PhoneLog, source: str, turning: Vectors, felt: Vecto
     changes = np.diff(shown, axis=0), (expected[1:] + expected[:-1]) / 2
     by_gravity, by_gyroscope = (float(np.sqrt((change**2).sum(axis=1).mean())) for change in changes)
     if by_gyroscope > TOO_FAR * max(by_gravity, GRAVITY_SD):
-        message = (
-            f"{source}: turns {by_gyroscope / max(by_gravity, GRAVITY_SD):.0f} times as far as gravity does in the "
-            "accelerometer, expected rad/s; if it is in deg/s, multiply it by pi / 180"
-        )
+        times = f"{by_gyroscope / max(by_gravity, GRAVITY_SD):.0f} times as far as gravity does in the accelerometer"
+        message = f"{source}: turns {times}, expected rad/s; if it is in deg/s, multiply it by pi / 180"
         raise DataFormatError(phone.path, message)
 
 
@@ -184,10 +182,8 @@ def _even_times(phone: PhoneLog, streams: tuple[Stream, ...]) -> tuple[Scalars, 
         is_between = (times > stream.times[before]) & (times < stream.times[before + 1])
         times = times[~(is_between & (intervals[before] > LONGEST_STEP))]
     if (n_pieces := _pieces(times)[-1] + 1) > 1:
-        words = (
-            "%s: the path is in %d pieces; each goes on where and as the one before it stopped, as if you had stood"
-        )
-        log.warning(words, phone.path, n_pieces)
+        words = "each goes on where and as the one before it stopped, as if you had stood"
+        log.warning("%s: the path is in %d pieces; %s", phone.path, n_pieces, words)
     return times, float(stop)
 
 
