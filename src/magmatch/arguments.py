@@ -11,20 +11,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.number_text import told
 from magmatch.typing import Points, Scalars
 
-_KINDS = {
-    "b": "booleans",
-    "c": "complex numbers",
-    "M": "dates",
-    "m": "time differences",
-    **dict.fromkeys("STU", "text"),
-}
 _TO_NUMBERS = "turn it into numbers first (pandas: to_numeric, of times to_datetime)"
 _COMMAS = "turn it into numbers first (pandas: read_csv with decimal=',' or with thousands=',')"
-_ADVICE = {
-    **dict.fromkeys("STU", _TO_NUMBERS),
-    "c": "take the real part",
-    "M": "turn them into seconds: (t - t[0]) / np.timedelta64(1, 's')",
-    "m": "divide them by np.timedelta64(1, 's')",
+# What arrays of other kinds are, and what to do about it.
+_OTHERS = {
+    "b": ("booleans", "convert it to float64 first"),
+    "c": ("complex numbers", "take the real part"),
+    "M": ("dates", "turn them into seconds: (t - t[0]) / np.timedelta64(1, 's')"),
+    "m": ("time differences", "divide them by np.timedelta64(1, 's')"),
+    **dict.fromkeys("STU", ("text", _TO_NUMBERS)),
 }
 
 
@@ -46,8 +41,8 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
     except Exception:  # whatever another library's array raises when it is asked for numbers
         _refuse(name, expected, f"a {type(values).__name__} that is no table of numbers", "give rows of equal length")
     if array.dtype.kind not in "iuf":
-        kind = _KINDS.get(array.dtype.kind, f"{found(values)} of dtype {array.dtype}")
-        advice = _ADVICE.get(array.dtype.kind, "convert it to float64 first")
+        unknown = f"{found(values)} of dtype {array.dtype}", _OTHERS["b"][1]
+        kind, advice = _OTHERS.get(array.dtype.kind, unknown)
         if values is None:
             _refuse(name, expected, "None", "")
         text = next((cell for cell in array.flat if isinstance(cell, str)), None)

@@ -117,11 +117,6 @@ def compile_known(module: str) -> None:
         loop.compile(signature)
 
 
-def _is_ours(compilation: event.Event) -> bool:
-    """Whether the loop being compiled belongs to this package."""
-    return bool(compilation.data["dispatcher"].py_func.__module__.startswith("magmatch."))
-
-
 class FirstUse(event.Listener):
     """Loops that are not in the cache say why it takes longer, report progress, and at the first give help."""
 
@@ -133,7 +128,7 @@ class FirstUse(event.Listener):
 
     def on_start(self, event: event.Event) -> None:
         """Hear of a compilation."""
-        if not _is_ours(event):
+        if not event.data["dispatcher"].py_func.__module__.startswith("magmatch."):
             return
         self._n_loops += 1
         if self._n_loops > 1:

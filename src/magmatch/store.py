@@ -182,7 +182,8 @@ def _opened(raw: np.ndarray, schema: str, path: str | Path) -> Stored:
         raise DataFormatError(path, f"is larger than any saved file ({MAX_BYTES} bytes)")
     start = raw[:PREFIX].tobytes()
     if start[8:-HEX] != START:
-        _refuse_other(path, start)
+        found = f"{start[:16]!r}" if start else "nothing"
+        raise DataFormatError(path, f"is not a file that magmatch saved: it begins with {found}")
     end = 8 + int.from_bytes(start[:8], "little")
     if not PREFIX <= end <= min(len(raw), MAX_HEADER):
         raise DataFormatError(path, f"is cut off or damaged: {len(raw)} bytes, of which {end} should be the header")
@@ -196,22 +197,12 @@ def _opened(raw: np.ndarray, schema: str, path: str | Path) -> Stored:
             if not isinstance(about[name], str):
                 msg = f"entry '{name}' of the header: expected words, found {about[name]!r:.60}"
                 raise TypeError(msg)
-        _check_schema(path, about, schema)
+        if (found := about["schema"]) != schema:
+            is_version = found.rpartition("/")[0] == schema.rpartition("/")[0]
+            advice = "; it is of another version of magmatch: update, or make it again" if is_version else ""
+            raise DataFormatError(path, f"expected schema '{schema}', found {found[:60]!r}{advice}")
         _check_offsets(header, len(raw) - end)
     return Stored(path, sha256, raw[end:], header, about)
-
-
-def _refuse_other(path: str | Path, start: bytes) -> None:
-    """Say what a file is that `save` did not write."""
-    found = "nothing" if not start else f"{start[:16]!r}"
-    raise DataFormatError(path, f"is not a file that magmatch saved: it begins with {found}")
-
-
-def _check_schema(path: str | Path, about: Mapping[str, Any], schema: str) -> None:
-    if (found := about["schema"]) != schema:
-        is_version = found.rpartition("/")[0] == schema.rpartition("/")[0]
-        advice = "; it is of another version of magmatch: update, or make it again" if is_version else ""
-        raise DataFormatError(path, f"expected schema '{schema}', found {found[:60]!r}{advice}")
 
 
 def _check_offsets(listing: Mapping[str, Any], n_bytes: int) -> None:
