@@ -51,12 +51,6 @@ def test_derivatives_of_a_field_move_as_tensors(seed):
     np.testing.assert_allclose(G2 @ y + np.einsum("abc,b,c->a", D2, y, y) / 2, moved_field, atol=1e-12)
 
 
-def test_tangent_vectors_are_rotation_first():
-    T = RigidTransform.from_exp_coords(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(T.translation, [1, 2, 3])
-    np.testing.assert_allclose(T.rotation.magnitude(), 0)
-
-
 def test_transform_error_is_measured_at_the_centre():
     T = RigidTransform.from_exp_coords([0, 0, 0.1, 0, 0, 0])
     distance, angle = transform_error(T, RigidTransform.identity(), np.array([2.0, 0.0, 0.0]))

@@ -42,11 +42,6 @@ def test_a_figure_that_left_its_interval_is_named_with_both(column, cell):
     assert f"{headline.COLUMNS[column]} is {cell}, README states {ROW[column]}" in said
 
 
-def test_rows_that_come_or_go_are_named():
-    other = ["corridor", *ROW[1:]]
-    assert len(list(headline.outside([other], stated([ROW])))) == 2
-
-
 @pytest.mark.parametrize("n", [6, 10, 25])
 def test_order_statistics_enclose_a_median_as_often_as_is_said(n):
     rng = np.random.default_rng(n)

@@ -14,7 +14,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch import runner as module
 from magmatch.geometry import product, random_transform
-from magmatch.progress import followed
 from magmatch.runner import Runner, Shared, key_of
 from magmatch.workers import Task
 from other_process import elsewhere
@@ -158,13 +157,6 @@ def test_what_was_found_before_an_interruption_is_kept(tmp_path):
     assert done == [0, 1, 2, 3]
 
 
-def test_without_a_folder_or_where_nothing_is_to_be_kept_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run_all(double, tasks_of([np.eye(2)]))
-    run_all(double, tasks_of([np.eye(2)]), tmp_path / "kept", keep=False)
-    assert not list(tmp_path.iterdir())
-
-
 def test_what_somebody_else_put_there_stays(tmp_path):
     (tmp_path / "mine.txt").write_text("precious")
     (tmp_path / "0.results").write_text("mine too")
@@ -183,24 +175,6 @@ def test_what_tasks_share_is_made_once(workers, monkeypatch):
         for _ in range(2):
             np.testing.assert_array_equal(list(run(total, tasks)), [[k + (3, 6)[k % 2]] * 2 for k in range(6)])
     assert sorted(done) == [3, 4]
-
-
-def test_what_was_used_longest_ago_is_given_up_and_all_that_is_asked_for_is_given(monkeypatch):
-    monkeypatch.setattr(module, "MOST_SHARED", 10)
-    shared, shelf = [Shared(summed, (np.arange(n),), 4) for n in range(4)], module.Shelf()
-    assert list(shelf.take(shared).values()) == [0, 0, 1, 3]
-    done.clear()
-    for n, total in ((0, 0), (3, 3), (1, 0)):
-        assert shelf.take([shared[n]]) == {shared[n].key: total}
-    assert done == [1]
-
-
-def test_no_worker_is_asked_where_there_is_nothing_to_do(tmp_path):
-    def nobody(function, tasks):
-        raise AssertionError
-
-    run_all(double, tasks_of([np.ones(2)]), tmp_path / "kept")
-    assert len(run_all(double, tasks_of([np.ones(2)]), tmp_path / "kept", nobody)) == 1
 
 
 def test_tasks_that_share_an_argument_have_one_affinity_unless_they_are_many_and_others_have_none():
@@ -227,14 +201,6 @@ def test_rigid_transforms_are_sent_as_they_are():
     assert all((T.inv().as_matrix() == U.as_matrix()).all() for T, U in zip(sent, back, strict=True))
     # What SciPy makes of them.
     assert not all((RigidTransform.from_matrix(T.as_matrix()).as_matrix() == T.as_matrix()).all() for T in sent)
-
-
-def test_progress_is_told_before_each_result():
-    told = []
-    with followed(lambda *about: told.append(about)):
-        found = run_all(double, tasks_of([np.ones(1)] * 4), what="doubling")
-    assert told == [("doubling", k / 4) for k in range(4)]
-    assert len(found) == 4
 
 
 def test_what_cannot_run_or_keep_anything_is_refused(tmp_path):

@@ -171,8 +171,6 @@ def nested(n):
 
 
 HOSTILE = {
-    "a header beyond the file": ((1 << 40).to_bytes(8, "little") + SMALL[8:], "is cut off or damaged"),
-    "a negative header": (b"\xff" * 8 + SMALL[8:], "is cut off or damaged"),
     "not JSON": (sealed(b'",,}'), "Expecting property name"),
     "no metadata of ours": (sealed(b'"}}'), "entry 'data' is missing"),
     "metadata of numbers": (crafted(lambda _h, a: a.update(version=1)), "entry 'version' of the header"),
@@ -183,22 +181,17 @@ HOSTILE = {
     "an array not there": (crafted(lambda _h, _a: 0, content={"x": {"$array": "y"}}), "entry 'y' is missing"),
     "a class not asked for": (crafted(lambda _h, _a: 0, content={"x": {"$Popen": {}}}), "holds a Popen"),
     "a class that lacks a field": (crafted(lambda _h, _a: 0, content={"x": {"$Noun": {}}}), "missing 2 required"),
-    "two kinds": (crafted(lambda _h, _a: 0, content={"x": {"$Noun": {}, "y": 1}}), "holds a Noun"),
     "a transform that is none": (crafted(lambda _h, _a: 0, content={"T": {"$transform": [[1]]}}), "4x4"),
     "a rotation that is none": (crafted(lambda _h, _a: 0, content={"T": {"$rotation": [[1, 2, 3, 4]]}}), "unit quat"),
     "rows of objects": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "O"]], [4]]}}), "of numbers"),
     "rows of another width": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "S3"]], [4]]}}), "size"),
     "an entry without a shape": (crafted(lambda h, _a: h["x"].pop("shape")), "entry 'shape' is missing"),
     "an entry with more": (crafted(entry(codec="pickle")), "expected dtype, shape and offsets"),
-    "objects": (crafted(entry(dtype="O")), "expected dtype, shape and offsets"),
-    "a negative shape": (crafted(entry(shape=[-4])), "expected dtype, shape and offsets"),
     "a huge shape": (crafted(entry(shape=[2**30, 2**30])), "bytes from"),
     "a shape of many axes": (crafted(entry(shape=[4, *[1] * 100])), "entry 'x'"),
     "an empty shape without end": (crafted(entry(shape=[0, 2**31, 2**31, 2**31], data_offsets=[0, 0])), "entry"),
     "offsets that overlap": (crafted(entry(data_offsets=[8, 40])), "bytes from"),
-    "offsets beyond the end": (crafted(entry(data_offsets=[0, 2**62])), "expected dtype, shape and offsets"),
     "another file": (b"x,y,z,bx,by,bz\n", "is not a file that magmatch saved: it begins with b'x,y,z,bx"),
-    "an archive": (b"PK\x03\x04" + bytes(90), "is not a file that magmatch saved"),
 }  # fmt: skip
 
 

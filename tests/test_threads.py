@@ -12,15 +12,7 @@ import pytest
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.threads import WhileAnyone, on_one_core, side_by_side
-
-
-def test_every_part_is_run_once():
-    seen = []
-    side_by_side(seen.append, range(7))
-    assert sorted(seen) == list(range(7))
-    side_by_side(seen.append, [])
-    assert len(seen) == 7
+from magmatch.threads import on_one_core, side_by_side
 
 
 def test_a_fault_in_a_part_is_raised():
@@ -95,26 +87,6 @@ def test_threads_take_turns_as_before_once_all_parts_are_done(monkeypatch):
     with pytest.raises(ZeroDivisionError):
         side_by_side(fail, range(3))
     assert sys.getswitchinterval() == before
-
-
-def test_a_state_lasts_from_the_first_thread_that_needs_it_to_the_last():
-    log = []
-
-    def begin():
-        log.append("begin")
-        return lambda: log.append("end")
-
-    state = WhileAnyone(begin)
-    first, second = state(), state()
-    first.__enter__()
-    second.__enter__()
-    first.__exit__(None, None, None)
-    assert log == ["begin"]
-    second.__exit__(None, None, None)
-    assert log == ["begin", "end"]
-    with state():
-        assert log[2:] == ["begin"]
-    assert log[2:] == ["begin", "end"]
 
 
 def test_no_part_begins_after_a_fault(monkeypatch):

@@ -108,16 +108,6 @@ def test_axes_and_a_forgotten_frame_are_told_together():
         assert [named(way.T) for way in advised(str(found))] == [name] * (name != OWN)
 
 
-def test_one_upside_down_is_not_told_from_orientations_inverted_by_a_robot_that_yaws():
-    survey = log("robot")
-    (found,) = diagnose(with_axes(survey, AXES["x, -y, -z"]))
-    assert found.kind == "axes"
-    assert "does not tell" in found.remedy
-    inverted = replace(survey, orientations=survey.orientations.inv())
-    (same,) = diagnose(replace(inverted, field=inverted.orientations.apply(unturned(survey).field)))
-    assert same.remedy == found.remedy
-
-
 def test_headings_that_step_at_corners_and_a_path_that_turns_once_are_told_of_nothing():
     rng, s = np.random.default_rng(0), np.arange(0, 64, 0.1)
     side, along = (s // 8).astype(int), (s % 8)[:, None]

@@ -6,14 +6,8 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up
-from magmatch.errors import ConfigurationError
 
 ORIGIN = Origin(48.137154, 11.576124, 519.0)
-
-
-def test_the_origin_is_nought():
-    at = local_east_north_up(np.array([48.137154]), np.array([11.576124]), np.array([519.0]), ORIGIN)
-    assert np.abs(at).max() < 1e-8
 
 
 def test_small_steps_are_as_long_as_the_radii_of_curvature_say():
@@ -37,9 +31,3 @@ def test_distances_do_not_depend_on_the_origin():
 def test_places_on_both_sides_of_the_date_line_are_neighbours():
     east = local_east_north(np.array([-17.0, -17.0]), np.array([179.9999, -179.9999]), Origin(-17.0, 180.0))[:, 0]
     assert east == pytest.approx([-10.65, 10.65], abs=0.01)
-
-
-@pytest.mark.parametrize("where", [(91.0, 11.0), (48.0, 400.0), (float("nan"), 11.0), (48.0, 11.0, float("inf"))])
-def test_what_is_no_place_is_no_origin(where):
-    with pytest.raises(ConfigurationError, match="origin: expected latitude, longitude"):
-        Origin(*where)

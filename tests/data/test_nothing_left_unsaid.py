@@ -37,11 +37,6 @@ def test_an_index_of_dates_is_the_time(name, frame, dates):
     np.testing.assert_array_equal(survey.times, SECONDS)
 
 
-def test_a_level_of_dates_is_the_time(pd, frame, dates):
-    frame.index = pd.MultiIndex.from_arrays([["walk"] * N, dates])
-    np.testing.assert_array_equal(Survey.from_dataframe(frame).times, SECONDS)
-
-
 def test_parquet_of_an_index_of_dates_has_times(frame, dates, tmp_path):
     pytest.importorskip("pyarrow")
     frame.set_index(dates).to_parquet(tmp_path / "s.parquet")
@@ -106,20 +101,6 @@ def test_an_index_of_stamps_in_parquet_is_said(frame, tmp_path, caplog):
     frame.set_index(1_700_000_000_000_000_000 + np.arange(N) ** 2).to_parquet(tmp_path / "s.parquet")
     assert read_survey(tmp_path / "s.parquet").times is None
     assert "its index without a name is left out" in caplog.text
-
-
-def test_an_index_that_counts_rows_in_parquet_is_not_worth_a_word(frame, tmp_path, caplog):
-    pytest.importorskip("pyarrow")
-    frame.set_index(np.arange(N) ** 2).to_parquet(tmp_path / "s.parquet")
-    read_survey(tmp_path / "s.parquet")
-    assert "index" not in caplog.text
-
-
-def test_an_index_that_a_second_writing_named_is_said(frame, dates, tmp_path, caplog):
-    frame.insert(0, "Unnamed: 0", dates)
-    frame.to_csv(tmp_path / "s.csv", index=False)
-    read_survey(tmp_path / "s.csv")
-    assert "a column without a name is left out" in caplog.text
 
 
 def test_times_of_a_matlab_file_that_are_no_numbers_are_said(frame, tmp_path, caplog):

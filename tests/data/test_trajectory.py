@@ -44,10 +44,6 @@ def test_poses_are_never_extrapolated(time):
         helix().interpolate(np.array([5.0, time]))
 
 
-def test_covers_includes_both_ends():
-    np.testing.assert_array_equal(helix().covers(np.array([-1e-9, 0.0, 5.0, 10.0, 10.1])), [0, 1, 1, 1, 0])
-
-
 def test_saving_and_loading_keeps_the_poses(tmp_path):
     trajectory = helix()
     trajectory.save(tmp_path / "poses.tum")

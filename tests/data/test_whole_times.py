@@ -53,15 +53,6 @@ def test_times_in_text_are_rounded_once(way, tmp_path):
     np.testing.assert_array_equal(read_survey(path, SurveyFormat(time_unit=unit, **UT)).times, SECONDS)
 
 
-@pytest.mark.parametrize(("unit", "digits"), [("us", 6), ("ms", 3)])
-def test_whole_numbers_beyond_float64_are_exact_in_every_unit(unit, digits, tmp_path):
-    times = [9_007_199_254_740_993 + 5_000 * k for k in range(N)]
-    (tmp_path / "s.csv").write_text(text(times))
-    expected = [t / 10**digits for t in times]
-    layout = SurveyFormat(time_unit=unit, **UT)
-    np.testing.assert_array_equal(read_survey(tmp_path / "s.csv", layout).times, expected)
-
-
 def test_parquet_of_whole_numbers_and_of_stamps(tmp_path):
     pq, pa = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
     for k, times in enumerate(

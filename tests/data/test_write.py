@@ -68,13 +68,6 @@ def test_mcap_is_read_by_the_mcap_library_and_typed_by_rosbags(walk, tmp_path):
     assert {m.header.frame_id for _, m in found["/magmatch/pose"]} == {"hall"}
 
 
-def test_positions_without_orientations_go_through_mcap(walk, tmp_path):
-    bare = Survey(walk.positions, walk.field, walk.times)
-    survey = read_survey(write(bare, tmp_path / "bare.mcap"))
-    assert survey.orientations is None
-    np.testing.assert_array_equal(survey.field, walk.field)
-
-
 @pytest.mark.parametrize("suffix", [".mcap", ".tum"])
 def test_a_survey_without_times_cannot_become_a_log(suffix, walk, tmp_path):
     with pytest.raises(SurveyError, match="has no times"):

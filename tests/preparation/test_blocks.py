@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magmatch.geometry import GENERATORS
 from magmatch.preparation.sensor_model import (
     CHANNEL,
-    SOFT_IRON_BASIS,
     SensorCorrection,
     channel_blocks,
     model_of,
@@ -50,13 +48,6 @@ def test_a_channels_columns_are_per_standard_deviation_about_its_mean_and_one_th
     np.testing.assert_allclose(model.currents["motor"], estimate[CHANNEL + "motor"] / CURRENTS["motor"].std())
 
 
-def test_soft_iron_has_no_common_scale_and_a_misalignment_is_a_turn():
-    np.testing.assert_allclose(np.trace(SOFT_IRON_BASIS, axis1=1, axis2=2), 0, atol=1e-15)
-    np.testing.assert_array_equal(SOFT_IRON_BASIS, np.swapaxes(SOFT_IRON_BASIS, 1, 2))
-    for axis, turn in zip(np.eye(3), GENERATORS, strict=True):
-        np.testing.assert_allclose(turn @ [1.0, 2.0, 3.0], np.cross(axis, [1.0, 2.0, 3.0]))
-
-
 def test_the_sensors_errors_are_those_that_the_correction_undoes():
     A, c = np.eye(3) + 0.05 * RNG.standard_normal((3, 3)), 2e-5 * RNG.standard_normal(3)
     M = np.linalg.inv(A)
@@ -80,14 +71,6 @@ def test_a_correction_after_another_is_that_of_both_in_turn():
     both = second.after(first)
     np.testing.assert_allclose(both.corrected(READINGS), second.corrected(first.corrected(READINGS)), atol=1e-18)
     assert both.time_offset == 0.02
-
-
-def test_currents_are_taken_off_where_their_channels_are_known():
-    model = SensorCorrection(currents={"motor": np.array([1e-6, 0, -2e-6])})
-    expected = READINGS - CURRENTS["motor"][:, None] * [1e-6, 0, -2e-6]
-    np.testing.assert_allclose(model.corrected(READINGS, CURRENTS), expected, atol=1e-18)
-    np.testing.assert_array_equal(model.corrected(READINGS, {}), READINGS)
-    np.testing.assert_array_equal(model.corrected(READINGS), READINGS)
 
 
 def test_a_correction_is_kept_as_it_was_and_one_that_is_none_is_refused():

@@ -7,12 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.data.trajectory import Trajectory
-from magmatch.field.cholesky.cells import count_active_cells
-from magmatch.preparation.calibrate_on_map import calibrate, switches_of
+from magmatch.preparation.calibrate_on_map import calibrate
 from magmatch.preparation.calibration_steps import calibration_steps
 from magmatch.preparation.config import PreparationConfig, TimeOffsetConfig
 from magmatch.preparation.sensor_log import SensorLog
-from magmatch.preparation.time_offset import coarse_settings, search_time_offset
+from magmatch.preparation.time_offset import search_time_offset
 
 OFF = dict.fromkeys(("hard_iron", "soft_iron", "misalignment"), "off")
 CLOCK_ALONE = PreparationConfig.model_validate({"calibration": OFF})
@@ -52,34 +51,11 @@ def test_the_clocks_offset_is_found_from_translation_alone():
     assert found.without["time_offset"] > 1.2 * found.inconsistency[1]
 
 
-def test_switches_are_what_may_be_estimated():
-    log = log_of()
-    channels = {"motor": np.arange(len(log.readings)), "rest": np.ones(len(log.readings))}
-    remove = PreparationConfig.model_validate({"currents": {"mode": "remove"}, "calibration": {"soft_iron": "off"}})
-    switches = switches_of(remove, log, channels)
-    assert set(switches) == {"hard_iron", "misalignment", "time_offset", "channel motor"}
-    assert set(switches_of(CLOCK_ALONE, log, channels)) == {"time_offset"}
-
-
 def test_too_few_readings_or_nothing_to_estimate_give_nothing():
     log = log_of()
     off = PreparationConfig.model_validate({"calibration": OFF, "time_offset": {"mode": "off"}})
     assert calibrate(log, off, {}, np.ones(len(log), dtype=bool)) is None
     assert calibrate(log, CLOCK_ALONE, {}, np.arange(len(log)) < 99) is None
-
-
-@pytest.mark.parametrize("size", [(3.0, 3.0, 0.5), (40.0, 0.2, 0.2), (2.0, 2.0, 2.0)])
-def test_a_coarse_map_is_as_fine_as_its_cells_allow_in_any_unit(size):
-    points = np.random.default_rng(0).uniform(0, size, (3000, 3))
-    h = coarse_settings(points)
-    share = h.spacing / np.ptp(points, axis=0).max()
-    n_cells = [count_active_cells(points, step, h.reach) for step in (h.spacing, h.spacing / 1.25)]
-    assert n_cells[0] <= 800
-    assert n_cells[1] > 800 or share <= 0.1
-    # Halves in steps of a quarter.
-    assert np.log(0.5 / share) / np.log(1.25) == pytest.approx(round(np.log(0.5 / share) / np.log(1.25)))
-    assert coarse_settings(100 * points).spacing == pytest.approx(100 * h.spacing)
-    assert h.lengthscale == pytest.approx(2.5 * h.spacing)
 
 
 def test_the_search_for_an_offset_ends_within_a_step_of_it_and_at_none_where_there_is_none():

@@ -106,18 +106,3 @@ def test_a_direction_is_fixed_where_the_data_know_it_five_times_better_than_befo
     found = solved(y, {"one": ParameterBlock(column, size)})
     assert found.is_open["one"].tolist() == [is_open]
     assert found.noise_sd == pytest.approx(NOISE, rel=0.1)
-
-
-def test_blocks_that_are_not_active_are_zero():
-    system = System.of(field(), BLOCKS, project)
-    only = system.solve(["two"])
-    assert list(only.estimate) == ["two"]
-    nothing = system.solve([])
-    np.testing.assert_array_equal(nothing.residual, project(field()[None])[1][0])
-    spread = np.median(np.abs(nothing.residual)) * 1.4826
-    assert nothing.noise_sd == pytest.approx(spread)
-    both = system.solve(["one", "two"])
-    np.testing.assert_allclose(both.estimate["one"], solved(field()).estimate["one"])
-    assert np.abs(only.residual).mean() > np.abs(both.residual).mean()
-    unlike = System.of(field(), {"two": BLOCKS["two"], "one": BLOCKS["one"]}, project).solve(["one"])
-    np.testing.assert_allclose(unlike.estimate["one"], system.solve(["one"]).estimate["one"])

@@ -46,11 +46,6 @@ def test_soft_iron_is_bounded_away_from_what_makes_any_field_consistent(part):
     assert "soft iron" in why_no_sensor(of(-2 * MOST_SOFT_IRON))
 
 
-def test_a_turn_beyond_what_is_linear_is_no_misalignment():
-    assert not why_no_sensor(SensorCorrection(Rotation.from_rotvec([0, 0, 0.5]).as_matrix()))
-    assert "misalignment of 40 deg" in why_no_sensor(SensorCorrection(Rotation.from_rotvec([0, 0, 0.7]).as_matrix()))
-
-
 def test_a_field_may_vary_less_after_a_correction_but_not_more():
     clean, biased = log_of(), log_of(lambda b: b + UT * np.array([8, -5, 3]))
     assert not why_no_field(biased.field, clean.field)

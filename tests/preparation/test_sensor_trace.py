@@ -44,10 +44,6 @@ def test_without_orientations_nothing_is_told(hand_held):
     assert offset_evidence(raw, Hyperparameters(0.5, 1e-5, 1e-6, 0.25)) == -np.inf
 
 
-def test_maps_that_would_take_too_long_are_not_asked(hand_held):
-    assert offset_evidence(hand_held[1], Hyperparameters(0.5, 1e-5, 1e-6, 0.005)) == -np.inf
-
-
 @pytest.mark.parametrize("size", [0.0, 1e-6])
 def test_the_evidence_is_that_of_the_dense_gaussian_with_an_offset_along_its_best_told_direction(size):
     """Where the noise stated explains what is left; the offset's prior deviation is that of its settings."""

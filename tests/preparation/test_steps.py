@@ -7,14 +7,11 @@ from datetime import date
 import numpy as np
 import pytest
 import yaml
-from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.sensor_axes import find_repeats
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.disturbances import find_jumps, find_saturation, runs
 from magmatch.preparation.earth_field import Place, earth_field, earth_step
 from magmatch.preparation.preparation_report import PreparationReport, StepReport
 from magmatch.preparation.sensor_model import SensorCorrection
@@ -47,26 +44,6 @@ def walk(rng):
     return Survey(positions, field + noise, 0.05 * np.arange(len(x)), orientations)
 
 
-@pytest.mark.parametrize(("n", "is_jump"), [(1, True), (2, True), (5, False), (6, False)])
-def test_readings_that_bear_each_other_out_are_no_jump(walk, n, is_jump):
-    readings = walk.field.copy()
-    readings[500 : 500 + n] += 20e-6
-    assert find_jumps(readings, 10.0)[500 + n // 2] == is_jump
-
-
-def test_repeats_are_found_in_the_frame_of_the_sensor(walk):
-    readings = walk.orientations.apply(walk.field, inverse=True)
-    readings[100:104] = readings[100]
-    turned = walk.orientations.apply(walk.orientations.apply(readings), inverse=True)
-    assert np.flatnonzero(find_repeats(turned)).tolist() == [101, 102, 103]
-
-
-def test_runs_are_given_by_their_ends():
-    mask = np.array([0, 1, 1, 0, 1], dtype=bool)
-    assert runs(mask, None) == [[1.0, 2.0], [4.0, 4.0]]
-    assert runs(mask, np.array([0.0, 0.5, 1.0, 1.5, 2.0])) == [[0.5, 1.0], [2.0, 2.0]]
-
-
 def test_each_step_is_the_mean_or_the_median_of_its_own_samples(walk):
     number = steps_of(walk.positions, 0.3)
     mean, median = (resample_by_distance(walk, 0.3, average) for average in ("mean", "median"))
@@ -88,13 +65,6 @@ def test_earth_field_at_a_pole_is_that_beside_it(latitude):
     pytest.importorskip("ppigrf")
     at, beside = (earth_field(Place(part * latitude, 30, 0, date(2024, 5, 1))) for part in (1, 1 - 1e-6))
     np.testing.assert_allclose(at, beside, atol=1e-9)
-
-
-def test_readings_that_cancel_are_flagged_without_a_warning():
-    pytest.importorskip("ppigrf")
-    check = earth_step(np.zeros((20, 3)), MUNICH)
-    assert check.outcome == "flagged"
-    assert "hard iron" in check.words
 
 
 def test_a_wrong_unit_and_a_tilted_frame_are_said():
@@ -122,13 +92,6 @@ def test_a_value_of_a_report_that_cannot_be_is_named(key, value, tmp_path):
         PreparationReport.load(tmp_path / "r.json")
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": "other/1"}', '{"schema": "magmatch.preparation/1"}'])
-def test_what_is_no_report_is_refused(text, tmp_path):
-    (tmp_path / "r.json").write_text(text)
-    with pytest.raises(DataFormatError, match=r"r\.json"):
-        PreparationReport.load(tmp_path / "r.json")
-
-
 def test_an_inclination_and_a_magnitude_are_plausible_on_both_sides_of_each_limit():
     pytest.importorskip("ppigrf")
     model = earth_field(MUNICH)
@@ -143,31 +106,6 @@ def test_an_inclination_and_a_magnitude_are_plausible_on_both_sides_of_each_limi
         dip = np.degrees(np.arcsin(-tilted[2] / np.linalg.norm(tilted)))
         assert check.figures["inclination_deg"] == pytest.approx(dip)
         assert check.figures["magnitude"] == pytest.approx(check.figures["expected_magnitude"])
-
-
-def test_a_spike_beyond_the_threshold_is_a_jump_and_one_below_is_none():
-    x = np.random.default_rng(0).standard_normal((400, 3))
-    x[200] = 0.0
-    spread = 1.4826 * np.median(np.abs(x - median_filter(x, size=(7, 1), mode="nearest")), axis=0)
-    for size, is_jump in ((9.0, False), (12.0, True)):
-        y = x.copy()
-        y[200, 1] = size * spread[1]
-        assert find_jumps(y, 10.0)[200] == is_jump
-    assert not find_jumps(1e3 * x[:6], 1.0).any()
-    flat = np.ones((20, 3))
-    flat[9] += 1e-9
-    assert np.flatnonzero(find_jumps(flat, 10.0)).tolist() == [9]
-
-
-def test_saturation_needs_five_readings_at_the_limit_and_more_than_at_the_next_three():
-    rng = np.random.default_rng(1)
-    for count, is_found in ((4, False), (5, True)):
-        x = rng.uniform(-1, 1, (50, 3))
-        x[:count, 1] = -2.0
-        assert find_saturation(x).any() == is_found
-        assert find_saturation(x).sum() == (count if is_found else 0)
-    steps = np.concatenate([np.full(6, 3.0), np.full(3, 2.0), np.full(3, 1.5), np.arange(-5, 1, 0.1)])
-    assert not find_saturation(np.tile(steps[:, None], (1, 3))).any()
 
 
 @pytest.mark.parametrize(
