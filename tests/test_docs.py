@@ -103,6 +103,17 @@ def test_every_setting_of_preparation_has_its_sentence_on_the_page_of_the_api():
     assert len(set(found.values())) == len(found)
 
 
+def test_every_equation_is_drawn():
+    pytest.importorskip("latex2mathml", reason="extra docs")
+    hook = hook_of("mathml")
+    drawn = hook.on_page_content(r'<p><span class="arithmatex">\(a &lt; \sigma^2\)</span></p>')
+    assert "arithmatex" not in drawn
+    assert drawn.count("<math") == 1
+    assert "\\" not in drawn
+    with pytest.raises(hook.PluginError, match="cannot draw"):
+        hook.on_page_content(r'<div class="arithmatex">\[\nosuchcommand\]</div>')
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_python_on_a_page_compiles(page):
     for block in re.findall(r"```python[^\n]*\n(.*?)```", page.read_text(), re.DOTALL):

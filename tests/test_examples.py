@@ -45,6 +45,15 @@ def test_an_example_runs_and_says_something(example, capsys, monkeypatch, tmp_pa
     assert capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["01_build_map", "05_localize", "07_gtsam_factor"])
+def test_as_it_stands_an_example_runs_too(name, capsys, monkeypatch):
+    if "gtsam" in name:
+        pytest.importorskip("gtsam")
+    run(ROOT / "examples" / f"{name}.py", monkeypatch)
+    assert capsys.readouterr().out
+
+
 @pytest.fixture(scope="module")
 def factor():
     """The names of the example with GTSAM, which is not run."""
@@ -70,6 +79,18 @@ def test_the_field_factor_has_the_jacobian_of_its_error(factor, field_map):
         steps = h * np.eye(6)
         ahead, back = ([factor["predict"](field_map, T.retract(way * d))[0] for d in steps] for way in (1, -1))
         np.testing.assert_allclose(J, (np.array(ahead) - back).T / (2 * h), atol=1e-5 * np.abs(J).max())
+
+
+def test_the_field_factor_has_the_noise_of_the_map_and_of_the_sensor(factor, field_map):
+    import gtsam
+
+    T, measured = gtsam.Pose3.Expmap(np.array([0.3, -0.8, 2.0, 0.2, -0.4, 0.5])), np.array([30.0, 10.0, -20.0])
+    R, values = T.rotation().matrix(), gtsam.Values()
+    values.insert(7, T)
+    made = factor["field_factor"](7, measured, field_map, T)
+    C = R.T @ field_map.covariance(T.translation()[None])[0] @ R + field_map.hyperparameters.noise_sd**2 * np.eye(3)
+    off = R.T @ field_map.evaluate(T.translation()[None]).field[0] - 1e-6 * measured
+    assert made.error(values) == pytest.approx(off @ np.linalg.solve(C, off) / 2, rel=1e-9)
 
 
 def test_the_quickstart_of_the_readme_runs(capsys, monkeypatch, tmp_path):

@@ -2,14 +2,17 @@
 """What a refusal says to do is done, and the file is read: all of its rows, and as the same numbers."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from magmatch.data.formats.csv import read_points
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.read import read_survey
 from magmatch.errors import DataFormatError
+from magmatch.slam.graph.anchors import read_anchors
 
 N = 30
 RNG = np.random.default_rng(3)
@@ -100,6 +103,26 @@ def test_advice_about_a_survey_works(case, tmp_path):
     np.testing.assert_allclose(survey.field, NUMBERS[:, 4:] * 1e-6, rtol=1e-14)
 
 
+READ_AS_THEY_ARE = {
+    "a stated delimiter": table(mark=";", above="sep=;"),
+    "a stated delimiter in quotes": table(mark=";", above='"sep=;"'),
+    "a stated comma with blanks behind": table(above="SEP=,,,,,"),
+    "a stated delimiter that is not used": table(above="sep=;"),
+    "a stated tab": table(mark="\t", above="sep=\t"),
+    "a comment above": table(mark=";", above="# Excel\nsep=;"),
+    "a minus sign": table().replace("-", "\u2212"),
+    "dashes and decimal commas": table(mark=";", cell=commas).replace("-", "\u2013"),
+}
+
+
+@pytest.mark.parametrize("case", READ_AS_THEY_ARE)
+def test_what_spreadsheets_write_is_read(case, tmp_path):
+    (tmp_path / "s.csv").write_text(READ_AS_THEY_ARE[case])
+    survey = read_survey(tmp_path / "s.csv", SurveyFormat(field_unit="uT"))
+    np.testing.assert_allclose(survey.field, NUMBERS[:, 4:] * 1e-6, rtol=1e-14)
+    np.testing.assert_array_equal(survey.times, NUMBERS[:, 0])
+
+
 def poses(header, numbers=POSES, mark=" "):
     return table(header, mark, numbers=numbers)
 
@@ -140,3 +163,27 @@ def test_advice_about_a_trajectory_works(case, tmp_path):
     np.testing.assert_array_equal(trajectory.times, POSES[:, 0])
     np.testing.assert_allclose(trajectory.positions, POSES[:, 1:4], rtol=1e-14)
     np.testing.assert_allclose(trajectory.orientations.as_quat(), POSES[:, 4:], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        (lambda path: read_points(path, SurveyFormat()), "# x [m], y [m], z [m]\n1,2,3\n"),
+        (read_anchors, "# log,t,x,y,z,sd\nwalk,1,2,3,4,0.1\nwalk,2,2,3,4,0.1\n"),
+    ],
+)
+def test_advice_about_names_in_a_comment_works_for_points(read, text, tmp_path):
+    path = Path(tmp_path / "p.csv")
+    path.write_text(text)
+    with pytest.raises(DataFormatError, match="remove the '#'"):
+        read(path)
+    path.write_text(re.sub(r" \[m\]", "", text).replace("# ", ""))
+    assert len(read(path)) > 0
+
+
+def test_names_that_are_strange_are_not_taken_for_a_row_under_a_comment(tmp_path):
+    path = tmp_path / "p.csv"
+    path.write_text("# points of the hall\neast,north,up,note\n1,2,3,4\n")
+    with pytest.raises(DataFormatError, match="found east, north, up, note") as caught:
+        read_points(path, SurveyFormat())
+    assert "#" not in str(caught.value)

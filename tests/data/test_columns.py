@@ -81,6 +81,14 @@ def test_columns_that_are_no_pairs_are_refused(text, tmp_path):
         read(write(tmp_path / "s.csv", "x,y,z,bx,by,bz", ROWS[:, 1:]), text)
 
 
+def test_float32_and_integers_are_numbers_too(door):
+    own = dict(zip(["x", "y", "bx", "by", "bz"], np.hstack([XYZ[:, :2], FIELD]).T, strict=True))
+    halves = np.round(2 * FIELD[:, 0]) / 2  # which both precisions hold
+    survey = door(own | {"bx": halves.astype(np.float32), "z": np.arange(N)}, {})
+    np.testing.assert_array_equal(survey.field[:, 0], halves * 1e-6)
+    np.testing.assert_array_equal(survey.positions[:, 2], np.arange(N))
+
+
 # Numbers and constants
 
 
@@ -96,6 +104,12 @@ def test_columns_of_a_table_without_header_are_stated_by_number(mark, tmp_path):
 def test_numbers_count_columns_below_a_header_too(header, tmp_path):
     stated = NAMED if header[0] != "0" else "t=0,x=1,y=2,z=3,bx=4,by=5,bz=6"  # there a number is a name
     np.testing.assert_array_equal(read(write(tmp_path / "s.csv", header, ROWS), stated).positions, XYZ)
+
+
+def test_other_columns_without_header_stay_beside_the_samples(tmp_path):
+    path = write(tmp_path / "s.csv", "", np.column_stack([ROWS, np.arange(N)]))
+    _, channels = read_survey_and_channels(path, SurveyFormat(columns=NAMED, field_unit="uT"))
+    np.testing.assert_array_equal(channels["8"], np.arange(N))
 
 
 def test_other_columns_of_a_table_without_times_stay_beside_the_samples_row_by_row(tmp_path):
@@ -135,11 +149,22 @@ def test_a_whole_number_is_no_column_of_something_else(first, tmp_path):
     np.testing.assert_array_equal(read(path, "z=2,x=3,y=2.0").positions[:, 2], XYZ[:, 0])
 
 
+def test_a_number_that_counts_no_column_may_be_a_constant(door):
+    own = dict(zip(["x", "y", "bx", "by", "bz"], np.hstack([XYZ[:, :2], FIELD]).T, strict=True))
+    with pytest.raises(DataFormatError, match=r"expected a column '9' for z, .*; a constant of 9 is z=9\.0"):
+        door(own, {"z": "9"})
+
+
 @pytest.mark.parametrize("pair", ["bz=0", "t=0.5"])
 def test_what_is_measured_is_no_constant(pair, tmp_path):
     path = write(tmp_path / "s.csv", "x,y,z,bx,by", np.hstack([XYZ, FIELD[:, :2]]))
     with pytest.raises(ConfigurationError, match="expected a column for"):
         read(path, pair)
+
+
+def test_a_column_so_named_stands_before_a_constant(tmp_path):
+    path = write(tmp_path / "s.csv", "x,y,0,bx,by,bz", np.hstack([XYZ, FIELD]))
+    np.testing.assert_array_equal(read(path, "z=0").positions, XYZ)
 
 
 # Times
@@ -161,6 +186,19 @@ def test_dates_become_seconds_since_1970(text, seconds, tmp_path):
     np.testing.assert_allclose(survey.times, seconds + T, rtol=0, atol=3e-7)
 
 
+def test_dates_keep_their_nanoseconds_until_they_are_rounded_once(tmp_path):
+    rows = [[f"2023-11-14T22:13:20.{123456789 + 1000 * i}Z", *ROWS[i, 1:]] for i in range(N)]
+    times = read(write(tmp_path / "s.csv", "t,x,y,z,bx,by,bz", rows)).times
+    assert times.tolist() == [(1_700_000_000_123_456_789 + 1000 * i) / 10**9 for i in range(N)]
+
+
+def test_dates_are_in_seconds_whatever_the_unit_of_time(door):
+    pd = pytest.importorskip("pandas")
+    dates = pd.to_datetime(1_700_000_000 + np.arange(N), unit="s")
+    own = {"t": dates} | dict(zip(["x", "y", "z", "bx", "by", "bz"], ROWS[:, 1:].T, strict=True))
+    np.testing.assert_array_equal(door(own, {}).times, 1_700_000_000 + np.arange(N))
+
+
 def test_a_rate_gives_samples_their_times(tmp_path, caplog):
     path = write(tmp_path / "s.csv", "x,y,z,bx,by,bz", ROWS[:, 1:])
     assert read(path, rate=50.0).times.tolist() == (np.arange(N) / 50).tolist()
@@ -169,6 +207,13 @@ def test_a_rate_gives_samples_their_times(tmp_path, caplog):
     assert "column t is ignored" in caplog.text
     with pytest.raises(ConfigurationError, match="leave one of them out"):
         read(stamped, "t=t", rate=50.0)
+
+
+def test_rows_that_are_left_out_took_their_time(tmp_path):
+    rows = [[*row[:4], "nan", *row[5:]] if i == 3 else row for i, row in enumerate(ROWS[:, 1:].tolist())]
+    rows = [list(map(str, row)) for row in rows]
+    survey = read(write(tmp_path / "s.csv", "x,y,z,bx,by,bz", rows), rate=10.0, recover=True)
+    np.testing.assert_allclose(survey.times, np.delete(np.arange(N), 3) / 10)
 
 
 # Places on the globe
@@ -225,6 +270,18 @@ def test_metres_stand_before_degrees_unless_degrees_are_stated(tmp_path):
     np.testing.assert_array_equal(stated.positions, local_east_north_up(LAT, LON, ALT, ORIGIN))
 
 
+def test_degrees_without_a_fix_are_no_matter_where_positions_are_in_metres(tmp_path):
+    rows = [[*map(str, row), "", ""] for row in ROWS[:, 1:].tolist()]
+    path = write(tmp_path / "s.csv", "x,y,z,bx,by,bz,lat,lon", rows)
+    np.testing.assert_array_equal(read(path).positions, XYZ)
+
+
+def test_numbers_that_are_no_degrees_are_refused(tmp_path):
+    path = write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", GLOBE * [1e7, 1e7, 1, 1, 1, 1])
+    with pytest.raises(DataFormatError, match="found a latitude of 4"):
+        read(path)
+
+
 def test_radians_are_told_and_degrees_are_not(tmp_path, caplog):
     read(write(tmp_path / "s.csv", "lat,lon,alt,bx,by,bz", GLOBE))
     assert "at sea" not in caplog.text
@@ -253,3 +310,19 @@ def test_surveys_about_two_origins_make_no_map(tmp_path):
     assert len(surveys_of([here, here])) == 2
     with pytest.raises(SurveyError, match=r"one frame.*--origin 48.1,11.5,500.0"):
         surveys_of([here, there])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_channels_beside_dates_are_read_at_the_times_of_the_samples(suffix, tmp_path):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    dates = pd.to_datetime(1_700_000_000 + np.arange(N), unit="s")
+    own = {"t": dates} | dict(zip(["x", "y", "z", "bx", "by", "bz"], ROWS[:, 1:].T, strict=True))
+    frame, path = pd.DataFrame(own | {"motor": np.arange(N) * 1.5}), tmp_path / f"s.{suffix}"
+    if suffix == "csv":
+        frame.to_csv(path, index=False)
+    else:
+        frame.to_parquet(path)
+    survey, channels = read_survey_and_channels(path, SurveyFormat(field_unit="uT", time_unit="ms"))
+    np.testing.assert_array_equal(survey.times, 1_700_000_000 + np.arange(N))
+    np.testing.assert_array_equal(channels["motor"], np.arange(N) * 1.5)
