@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from drifting import Place, drifting_walk
 from magmatch.data.survey import Survey
@@ -36,3 +37,17 @@ def followed(place):
     """A walk of which only its odometry's frame is known, followed."""
     log, truth = drifting_walk(Place(1), 3, laps=1.5, start=1.0, bias=(2e-6, -1e-6, 1e-6))
     return SimpleNamespace(log=log, truth=truth, track=localize(place, log, live=True))
+
+
+@pytest.fixture(scope="session")
+def feed():
+    """Hands samples of a log to a localizer, the odometry's frame moved by T; gives the estimate after each."""
+
+    def fed(localizer, log, rows=slice(None), T=None, later=0.0):
+        R = log.orientations
+        poses, field = RigidTransform.from_components(log.positions, R), R.inv().apply(log.field)
+        for n in range(len(log))[rows]:
+            localizer.update(float(log.times[n]) + later, poses[n] if T is None else T * poses[n], field[n])
+            yield localizer.estimate()
+
+    return lambda *given, **more: list(fed(*given, **more))

@@ -6,7 +6,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk
@@ -69,23 +68,18 @@ class Aside:
         self.waiting.clear()
 
 
-def test_no_sample_waits_for_votes_or_for_a_map_that_is_made_ready_aside(folder):
+def test_no_sample_waits_for_votes_or_for_a_map_that_is_made_ready_aside(folder, feed):
     log, truth = drifting_walk(Place(41), 51, laps=1.6, start=1.0)
     aside = Aside()
     known = KnownPlaces(mm.open_atlas(folder), aside)
     localizer = mm.Localizer(known, mm.LocalizerConfig(is_planar=True))
-    poses, field = (
-        RigidTransform.from_components(log.positions, log.orientations),
-        log.orientations.inv().apply(log.field),
-    )
-    for n, t in enumerate(log.times):
-        localizer.update(float(t), poses[n], field[n])
-        if n == len(log) // 3:
-            # Votes, once and not for every bin.
-            assert len(aside.waiting) == 1
-            assert localizer.estimate().status == "searching"
-        if n >= len(log) // 3:
-            aside.work()
+    third = len(log) // 3
+    assert feed(localizer, log, slice(0, third))[-1].status == "searching"
+    # Votes, once and not for every bin.
+    assert len(aside.waiting) == 1
+    for n in range(third, len(log)):
+        aside.work()
+        feed(localizer, log, slice(n, n + 1))
     now = localizer.estimate()
     assert now.map == "cellar.map"
     assert np.linalg.norm(now.T_map_body.translation - truth[-1]) < 0.3
@@ -93,23 +87,15 @@ def test_no_sample_waits_for_votes_or_for_a_map_that_is_made_ready_aside(folder)
     assert not known._making
 
 
-def update(localizer, log, rows):
-    poses = RigidTransform.from_components(log.positions, log.orientations)
-    field = log.orientations.inv().apply(log.field)
-    for n in rows:
-        localizer.update(float(log.times[n]), poses[n], field[n])
-
-
-def test_a_body_that_is_found_is_searched_for_no_more(folder, monkeypatch):
+def test_a_body_that_is_found_is_searched_for_no_more(folder, monkeypatch, feed):
     log, _ = drifting_walk(Place(41), 51, laps=1.2, start=1.0)
     known = KnownPlaces(mm.open_atlas(folder))
     localizer, at, searched = mm.Localizer(known, mm.LocalizerConfig(is_planar=True)), 0, []
     while not localizer.estimate().is_stated:
-        update(localizer, log, [at])
+        feed(localizer, log, slice(at, at + 1))
         at += 1
     monkeypatch.setattr(Belief, "search", searched.append)
-    while at < len(log) and localizer.estimate().is_stated:
-        update(localizer, log, [at])
+    while at < len(log) and feed(localizer, log, slice(at, at + 1))[-1].is_stated:
         at += 1
     assert at > len(log) // 2
     assert not searched
@@ -132,7 +118,7 @@ def test_maps_are_searched_in_turn_where_time_is_for_one(folder):
     assert localizer.estimate().map == "cellar.map"
 
 
-def test_a_map_that_was_replaced_is_not_taken_for_the_one_that_was_indexed(folder, tmp_path):
+def test_a_map_that_was_replaced_is_not_taken_for_the_one_that_was_indexed(folder, tmp_path, feed):
     for path in folder.iterdir():
         shutil.copy(path, tmp_path)
     log, _ = drifting_walk(Place(41), 51, laps=1.0, start=1.0)
@@ -145,16 +131,16 @@ def test_a_map_that_was_replaced_is_not_taken_for_the_one_that_was_indexed(folde
         alone.of(entry)
     # Who walks on is not told: the other maps are searched, and this one once it is opened anew.
     localizer = mm.Localizer(seen, mm.LocalizerConfig(is_planar=True))
-    update(localizer, log, range(len(log)))
+    feed(localizer, log)
     assert not localizer.estimate().is_stated
     aside.shutdown()
 
 
-def test_a_state_is_resumed_once_its_maps_are_ready(folder):
+def test_a_state_is_resumed_once_its_maps_are_ready(folder, feed):
     log, _ = drifting_walk(Place(41), 51, laps=1.2, start=1.0)
     config = mm.LocalizerConfig(is_planar=True)
     one = mm.Localizer(KnownPlaces(mm.open_atlas(folder)), config)
-    update(one, log, range(len(log)))
+    feed(one, log)
     aside = Aside()
     known, state = KnownPlaces(mm.open_atlas(folder), aside), dumps(SCHEMA, state_of(one))
     with pytest.raises(NotReadyError):

@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 
 import magmatch as mm
 from drifting import about_z
-from magmatch.localization.measurement import FIT, STEP
+from magmatch.localization.bins import STEP
+from magmatch.localization.measurement import FIT
 from magmatch.localization.null_model import UnrelatedFields
 from magmatch.localization.state import model_of
 
@@ -16,14 +17,14 @@ def likelihood(known, field, config):
     """Log of the mean likelihood of unrelated fields where a body stands in a field, (3,), T, by odometry's axes."""
     step, null = np.zeros(1, STEP), UnrelatedFields(known, model_of(known, config), config)
     step["R"], step["M"], step["z"] = np.eye(3), np.eye(3), field
-    fit = np.zeros((1, len(null)), FIT)
+    fit = np.zeros((1, len(null.now)), FIT)
     null.follow(step, fit)
-    return float(np.logaddexp.reduce(-0.5 * fit["chi2"][0] - fit["half_log_det"][0]) - np.log(len(null)))
+    return float(np.logaddexp.reduce(-0.5 * fit["chi2"][0] - fit["half_log_det"][0]) - np.log(len(null.now)))
 
 
 def of_the_map(known):
     """Mean field in axes whose z is up."""
-    return known.frame.T_map_model[:3, :3] @ known.mean_field
+    return known.T_map_model[:3, :3] @ known.mean_field
 
 
 @pytest.mark.parametrize("is_gravity_aligned", [True, False])
@@ -47,7 +48,7 @@ def test_a_poor_maps_errors_are_not_asked_of_another_place(known):
     poor = model._replace(misfit_variance=6e-6**2, nugget_variance=3e-6**2)
     steps, null = np.zeros(20, STEP), UnrelatedFields(known, poor, config)
     steps["R"], steps["M"], steps["z"], steps["u"][:, 0] = np.eye(3), np.eye(3), of_the_map(known), 0.3
-    fit = np.zeros((len(steps), len(null)), FIT)
+    fit = np.zeros((len(steps), len(null.now)), FIT)
     null.follow(steps, fit)
     found = (-0.5 * fit["chi2"] - fit["half_log_det"]).sum(axis=0)
     as_rough = null._start["nugget"] >= poor.nugget_variance

@@ -9,25 +9,14 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.localization.hindsight import REFUTED, agreement, believed, in_order, join, refuted, stretches
+from magmatch.localization.hindsight import REFUTED, agreement, believed, in_order, join, stretches
 from magmatch.localization.localize import localize
-
-NO_BIAS = np.zeros(3)
 
 
 def estimate(x, sd, name="hall"):
     T = RigidTransform.from_translation([x, 0.0, 0.0])
-    return PoseEstimate(
-        LocalizerStatus.LOCALIZED,
-        "",
-        T.as_matrix(),
-        np.diag([1e-4] * 3 + [sd**2] * 3),
-        0.999,
-        NO_BIAS,
-        NO_BIAS,
-        1.0,
-        name,
-    )
+    covariance = np.diag([1e-4] * 3 + [sd**2] * 3)
+    return PoseEstimate(LocalizerStatus.LOCALIZED, "", T.as_matrix(), covariance, 0.999, map=name)
 
 
 def test_hindsight_knows_the_beginning_too_and_errs_less(place, followed):
@@ -62,7 +51,8 @@ STEPS = np.ones(10)
 
 def standing(forward, backward, tested=3.0):
     """Rows of the forward direction that stand; one sample each metre."""
-    return believed(forward, *agreement(forward, backward), STEPS, tested).nonzero()[0].tolist()
+    found = believed(forward, *agreement(forward, backward), STEPS, tested)
+    return [n for n, e in enumerate(found) if e.is_stated]
 
 
 def at(*rows, x=0.0, otherwise=LOST):
@@ -106,12 +96,13 @@ def test_of_two_stretches_that_disagree_neither_stands():
 
 def test_a_stretch_ends_where_another_map_is_named():
     walk = [estimate(0.0, 0.1), estimate(0.0, 0.1, "cellar"), UNCERTAIN]
-    assert [(s.first, s.last) for s in stretches(walk)] == [(0, 0), (1, 1)]
+    assert stretches(walk) == [(0, 1), (1, 2)]
 
 
 def test_only_a_stretch_that_something_contradicts_is_refuted():
     def rows(forward, backward):
-        return refuted(forward, *agreement(forward, backward)).nonzero()[0].tolist()
+        found = believed(forward, *agreement(forward, backward), STEPS, 30.0)
+        return [n for n, e in enumerate(found) if e.reason == REFUTED]
 
     assert rows(at(8, 9), at()) == []
     assert rows(at(4, 5, otherwise=UNCERTAIN), at()) == []

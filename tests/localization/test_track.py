@@ -4,6 +4,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
@@ -40,32 +41,34 @@ def test_the_result_reads_back_as_it_was_written(followed, tmp_path):
     assert result.segments[-1].t1 == followed.log.times[-1]
 
 
-def test_a_log_that_is_never_found_says_first_what_is_wrong_with_it(followed):
-    log, track = followed.log, followed.track
-    nowhere = [replace(e, matrix=None) for e in track.estimates]
-    unturned = replace(log, field=log.orientations.inv().apply(log.field))
-    wrong = replace(track, log=unturned, estimates=nowhere).result()
+@pytest.fixture
+def nowhere(followed):
+    """The walk as if it had never been found."""
+    return replace(followed.track, estimates=[replace(e, matrix=None) for e in followed.track.estimates])
+
+
+def test_a_log_that_is_never_found_says_first_what_is_wrong_with_it(nowhere):
+    unturned = replace(nowhere.log, field=nowhere.log.orientations.inv().apply(nowhere.log.field))
+    wrong, last = replace(nowhere, log=unturned).result(), nowhere.estimates[-1]
     assert wrong.reason.startswith("the field vectors look like those of a sensor that turns")
-    assert wrong.reason.endswith(nowhere[-1].reason)
-    assert replace(track, estimates=nowhere).result().reason == nowhere[-1].reason
+    assert wrong.reason.endswith(last.reason)
+    assert nowhere.result().reason == last.reason
 
 
-def test_a_log_whose_z_is_evidently_not_up_is_told_so_where_it_is_never_found(followed):
-    log, track = followed.log, followed.track
-    lying = log.transformed(RigidTransform.from_rotation(Rotation.from_euler("x", 90, degrees=True)))
-    nowhere = replace(track, log=lying, estimates=[replace(e, matrix=None) for e in track.estimates])
-    said = nowhere.result().reason
+def test_a_log_whose_z_is_evidently_not_up_is_told_so_where_it_is_never_found(nowhere):
+    lying = nowhere.log.transformed(RigidTransform.from_rotation(Rotation.from_euler("x", 90, degrees=True)))
+    lying = replace(nowhere, log=lying)
+    said = lying.result().reason
     assert "below the map's horizontal and" in said
     assert "--no-gravity" in said
-    free = replace(nowhere, config=track.config.model_copy(update={"is_gravity_aligned": False}))
+    free = replace(lying, config=nowhere.config.model_copy(update={"is_gravity_aligned": False}))
     assert "--no-gravity" not in free.result().reason
 
 
-def test_a_dead_reckoned_log_that_is_never_found_is_told_how_the_phone_has_to_be_held(followed):
-    nowhere = replace(followed.track, estimates=[replace(e, matrix=None) for e in followed.track.estimates])
+def test_a_dead_reckoned_log_that_is_never_found_is_told_how_the_phone_has_to_be_held(nowhere):
     held = "dead reckoning takes the phone's upper end to point forward"
     assert held not in nowhere.result().reason
-    reckoned = replace(nowhere, log=replace(followed.log, is_dead_reckoned=True))
+    reckoned = replace(nowhere, log=replace(nowhere.log, is_dead_reckoned=True))
     assert reckoned.result().reason.endswith(f"; {held}")
     # A body that has not moved was not looked for.
     still = replace(reckoned, estimates=[replace(e, probability=0.0) for e in reckoned.estimates])

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
+from magmatch.localization.bins import STEP
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.measurement import FIT, STEP, follow
+from magmatch.localization.measurement import FIT, LatestBins, follow
 from magmatch.localization.state import hypotheses, model_of
 from magmatch.localization.weigh_hypotheses import OutsidePenalty, covariance_of, evidence, forget, weigh
 
@@ -24,71 +24,61 @@ def fits(rng, n_models, chi2):
     return fit
 
 
+def some_bins(seed, n_models=2):
+    """Bins of hypotheses that explain them, and of three unrelated fields that do so less well."""
+    rng = np.random.default_rng(seed)
+    return LatestBins(np.zeros(N, STEP), fits(rng, n_models, 3.0), fits(rng, 3, 4.0))
+
+
 def test_an_unrelated_field_that_explains_nothing_costs_the_others_its_prior_share(known):
-    rng = np.random.default_rng(0)
-    steps, fit, null = np.zeros(N, STEP), fits(rng, 2, 3.0), fits(rng, 3, 4.0)
-    with_another = np.concatenate([null, fits(rng, 1, 300.0)], axis=1)
-    before, after = (evidence(steps, fit, some, known, FREE)[0] for some in (null, with_another))
+    bins = some_bins(0)
+    another = replace(bins, null=np.concatenate([bins.null, fits(np.random.default_rng(1), 1, 300.0)], axis=1))
+    before, after = (evidence(some, known, FREE)[0] for some in (bins, another))
     np.testing.assert_allclose(after, before + np.log(4 / 3), atol=1e-9)
 
 
-def test_unrelated_fields_that_explain_alike_count_once(known):
-    rng = np.random.default_rng(1)
-    steps, fit, null = np.zeros(N, STEP), fits(rng, 2, 3.0), fits(rng, 3, 4.0)
-    twice = np.concatenate([null, null], axis=1)
-    once, again = (evidence(steps, fit, some, known, FREE)[0] for some in (null, twice))
-    np.testing.assert_allclose(again, once, atol=1e-9)
-
-
 def test_residuals_that_the_covariances_factor_explains_are_no_misfit(known):
-    steps, rng = np.zeros(N, STEP), np.random.default_rng(2)
-    null = fits(rng, 3, 4.0)
-    (_, usual, a), (_, large, b) = (evidence(steps, fits(rng, 1, chi2), null, known, FREE) for chi2 in (3.0, 4.0))
+    bins, rng = some_bins(2, 1), np.random.default_rng(3)
+    rougher, odd = (replace(bins, fit=fits(rng, 1, chi2)) for chi2 in (4.0, 60.0))
+    (_, usual, a), (_, large, b) = (evidence(some, known, FREE) for some in (bins, rougher))
     assert large > usual
     np.testing.assert_allclose([a, b], 1.0, atol=0.15)
     # No covariance of a factor that was ever seen explains these.
-    assert evidence(steps, fits(rng, 1, 60.0), null, known, FREE)[2] > 2
+    assert evidence(odd, known, FREE)[2] > 2
 
 
 def test_a_bin_that_is_forgotten_leaves_what_it_gained_up_to_a_cap(known):
-    steps, rng = np.zeros(N, STEP), np.random.default_rng(3)
-    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
+    bins, bank = some_bins(3), hypotheses(2)
     # The first bin speaks for the first hypothesis, and against the second.
-    fit["chi2"][0], null["chi2"][0] = [0.1, 60.0], 20.0
-    before = evidence(steps, fit, null, known, FREE)[0]
+    bins.fit["chi2"][0], bins.null["chi2"][0] = [0.1, 60.0], 20.0
+    before = evidence(bins, known, FREE)[0]
     for most in (np.inf, 1.0):
         bank["earlier"] = 0.0
-        forget(steps, fit, null, known, FREE._replace(most=most), bank)
-        after = bank["earlier"] + evidence(steps[1:], fit[1:], null[1:], known, FREE)[0]
+        forget(bins, known, FREE._replace(most=most), bank)
+        after = bank["earlier"] + evidence(bins[1:], known, FREE)[0]
         np.testing.assert_allclose(after[1], before[1], atol=1e-9)
         assert bank["earlier"][0] == pytest.approx(1.0) if most == 1.0 else after[0] == pytest.approx(before[0])
 
 
 def test_who_is_trusted_and_outside_the_map_forgets_nothing(known):
-    steps, rng = np.zeros(N, STEP), np.random.default_rng(4)
-    fit, null, bank = fits(rng, 2, 3.0), fits(rng, 3, 4.0), hypotheses(2)
-    fit["chi2"][0], null["chi2"][0], fit["is_known"][-1] = 0.1, 20.0, 0
-    forget(steps, fit, null, known, OutsidePenalty(0.0, 1, 1.0), bank)
+    bins, bank = some_bins(4), hypotheses(2)
+    bins.fit["chi2"][0], bins.null["chi2"][0], bins.fit["is_known"][-1] = 0.1, 20.0, 0
+    forget(bins, known, OutsidePenalty(0.0, 1, 1.0), bank)
     assert bank["earlier"][0] > 5
     assert bank["earlier"][1] == pytest.approx(1.0)
 
 
-def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it(place, known, followed):
+def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it(place, known, followed, feed):
     """Odometry is as good as before: four times the readings' covariance doubles the pose's."""
     log, localizer = followed.log, mm.Localizer(place)
-    poses, z = (
-        RigidTransform.from_components(log.positions, log.orientations),
-        log.orientations.inv().apply(log.field),
-    )
-    for n in range(60):
-        localizer.update(log.times[n], poses[n], z[n])
+    feed(localizer, log, slice(0, 60))
     belief, usual = localizer._maps.best, model_of(known, mm.LocalizerConfig())
     worse = {k: 4 * getattr(usual, k) for k in ("misfit_variance", "map_factor2", "nugget_variance")}
     a, b = (belief._bank[:1].copy() for _ in range(2))
     sizes = []
     for n in range(60, len(log)):
         steps = belief._window.steps
-        localizer.update(log.times[n], poses[n], z[n])
+        feed(localizer, log, slice(n, n + 1))
         if belief._window.steps is steps:
             continue
         for one, model in ((a, usual), (b, usual._replace(**worse))):
@@ -96,31 +86,23 @@ def test_a_pose_of_worse_readings_is_known_as_a_filter_of_such_readings_knows_it
         sizes.append([np.trace(one["P"][0, 3:6, 3:6]) for one in (a, b)])
     ratio = np.median([y / x for x, y in sizes[len(sizes) // 4 :]])
     assert ratio == pytest.approx(2.0, rel=0.25)
-    said = [np.trace((covariance_of(a, known, factor) - known.frame.bent)[3:, 3:]) for factor in (1.0, 4.0)]
+    said = [np.trace((covariance_of(a, known, factor) - known.bent)[3:, 3:]) for factor in (1.0, 4.0)]
     assert said[1] / said[0] == pytest.approx(ratio, rel=0.25)
 
 
 def test_a_way_outside_the_map_costs_no_more_than_coming_into_it(known):
-    steps, fit, rng = np.zeros(N, STEP), fits(np.random.default_rng(5), 1, 3.0), np.random.default_rng(6)
-    steps["u"][:, 0], null = 1.0, fits(rng, 3, 4.0)
-    fit["is_known"][: N // 2] = 0
-    inside, *usual = (
-        evidence(steps, fit, null, known, toll)[0]
-        for toll in (FREE, OutsidePenalty(0.1, 0, 5.0), OutsidePenalty(3.0, 0, 5.0))
-    )
+    bins = some_bins(5, 1)
+    bins.steps["u"][:, 0], bins.fit["is_known"][: N // 2] = 1.0, 0
+    tolls = FREE, OutsidePenalty(0.1, 0, 5.0), OutsidePenalty(3.0, 0, 5.0)
+    inside, *usual = (evidence(bins, known, toll)[0] for toll in tolls)
     np.testing.assert_allclose(inside - usual, [[0.1 * N / 2], [5.0]], atol=1e-9)
 
 
 def test_a_pose_under_several_drifts_is_one_answer_with_the_evidence_of_all(known):
-    steps, fit, null = (
-        np.zeros(N, STEP),
-        fits(np.random.default_rng(8), 4, 3.0),
-        fits(np.random.default_rng(9), 3, 4.0),
-    )
-    bank = hypotheses(4)
+    bins, bank = some_bins(8, 4), hypotheses(4)
     bank["drift"], bank["p"][3] = [1.0, 7.0, 7.0, 1.0], 5.0
-    gained = evidence(steps, fit, null, known, FREE)[0]
-    (one, other) = sorted(weigh(bank, steps, fit, null, known, FREE, (0.1, 0.1)), key=lambda w: -len(w.rows))
+    gained = evidence(bins, known, FREE)[0]
+    (one, other) = sorted(weigh(bank, bins, known, FREE, (0.1, 0.1)), key=lambda w: -len(w.rows))
     kept = [0, 1 + int(gained[2] > gained[1])]
     assert sorted(one.rows) == kept
     assert one.log_evidence == pytest.approx(np.logaddexp.reduce(gained[kept]))
@@ -128,10 +110,9 @@ def test_a_pose_under_several_drifts_is_one_answer_with_the_evidence_of_all(know
 
 
 def test_of_several_drifts_the_likeliest_is_capped_and_the_others_stay_behind(known):
-    steps, null, bank = np.zeros(N, STEP), fits(np.random.default_rng(10), 3, 4.0), hypotheses(3)
-    fit = np.repeat(fits(np.random.default_rng(11), 1, 3.0), 3, axis=1)
+    bins, bank = some_bins(10, 1), hypotheses(3)
     bank["earlier"] = [7.0, 9.0, 1.0]
-    forget(steps, fit, null, known, OutsidePenalty(0.0, 3, 4.0), bank)
+    forget(replace(bins, fit=np.repeat(bins.fit, 3, axis=1)), known, OutsidePenalty(0.0, 3, 4.0), bank)
     np.testing.assert_allclose(bank["earlier"] - bank["earlier"][1], [-2.0, 0.0, -4.0], atol=1e-9)
 
 

@@ -2,13 +2,13 @@
 """The belief about a body in one map: hypotheses, the latest bins as their evidence, and which one is trusted."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.estimation.posterior import Answer, Posterior, log_odds, posterior_of
-from magmatch.localization.bins import Bin
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import (
     LocalizerStatus,
@@ -61,8 +61,8 @@ class Belief:
         self.is_sure, self.log_odds, self.total_odds = False, -np.inf, -np.inf
         self._known, self._config, self._model = known, config, model_of(known, config)
         self._most, self._recent = round(config.window / BIN_LENGTH), round(config.recent / BIN_LENGTH)
-        self._null = UnrelatedFields(known, self._model, config)
-        self._window, self._bank = LatestBins.of(len(self._null)), hypotheses(0)
+        self.unrelated = UnrelatedFields(known, self._model, config)
+        self._window, self._bank = LatestBins.of(len(self.unrelated.now)), hypotheses(0)
         self._weighed: list[WeighedHypothesis] = []
         self._found = NOTHING
         self._words = self._why()
@@ -78,56 +78,46 @@ class Belief:
         """Name of the map."""
         return self._known.name
 
-    def follow(self, new: Bin) -> None:
-        """Update all hypotheses with one bin."""
-        window = self._window
-        if len(window) == self._most:
-            self._forget_first()
-        window.add(new)
+    def follow(self, new: np.ndarray) -> None:
+        """Update all hypotheses with one bin, (1,) of STEP."""
+        if len(self._window) == self._most:
+            # Older evidence is capped at the prior odds that the track was not lost since.
+            if self._since == 0:
+                forget(self._window, self._known, self._penalty, self._bank)
+            self._window, self._since = self._window[1:], max(self._since - 1, 0)
+        self._window.add(new)
         if self.is_sure:
             self._trail = [*self._trail, self._bank[:1].copy()][-self._recent :]
-        steps = window.steps[-1:]
-        follow(self._bank, self._known, self._model, steps, window.fit[-1:], moves_first=True)
-        self._null.follow(steps, window.null[-1:])
-
-    def _forget_first(self) -> None:
-        """Cap older evidence at the prior odds that the track was not lost since; not for a body outside the map."""
-        window = self._window
-        if self._since == 0:
-            forget(*self._parts(), self._known, self._penalty, self._bank)
-        window.forget_first()
-        self._since = max(self._since - 1, 0)
-
-    @property
-    def _most_earlier(self) -> float:
-        """Prior log odds that the track was not lost since."""
-        return -float(np.log(self._config.end_probability))
+        last = self._window[-1:]
+        follow(self._bank, self._known, self._model, last.steps, last.fit, moves_first=True)
+        self.unrelated.follow(last.steps, last.null)
 
     @property
     def _penalty(self) -> OutsidePenalty:
         """A place that stands may leave the map; others come into it as seldom as a track is lost."""
         n_free = len(self._weighed[0].rows) if self.is_sure and self.stands else 0
-        return OutsidePenalty(self._config.price_outside / self._known.length, n_free, self._most_earlier)
+        # At most the prior log odds that the track was not lost since.
+        most = -float(np.log(self._config.end_probability))
+        return OutsidePenalty(self._config.price_outside / self._known.length, n_free, most)
 
     def is_doubtful(self) -> bool:
         """Whether the trusted hypothesis is contradicted by the latest bins."""
-        if not self.is_sure:
-            return False
-        steps, fit, null = (part[-self._recent :] for part in self._parts())
-        return is_doubtful(steps, fit[:, :1], null, self._known, 1 / self._config.end_probability - 1)
+        odds = 1 / self._config.end_probability - 1
+        return self.is_sure and is_doubtful(self._window[-self._recent :], self._known, odds)
 
-    def _parts(self, since: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        window = self._window
-        return window.steps[since:], window.fit[since:], window.null[since:]
+    @property
+    def _counting(self) -> LatestBins:
+        """The bins whose evidence counts."""
+        return self._window[self._since :]
 
     def doubt(self) -> None:
         """Trust no hypothesis; from now on, evidence counts only from where the contradiction began."""
         window, recent = self._window, len(self._trail)
         # Nothing was forgotten of a body outside the map.
-        self._bank["earlier"] = np.minimum(self._bank["earlier"], self._most_earlier)
+        self._bank["earlier"] = np.minimum(self._bank["earlier"], self._penalty.most)
         last = max(len(window) - recent, 0)
-        self._since = min(last + end_of_agreement(window.fit[last:, 0], window.null[last:]) + BREAK, len(window) - 1)
-        window.null = self._null.begin_anew(window.steps[self._since :], window.null)
+        self._since = min(last + end_of_agreement(window[last:]) + BREAK, len(window) - 1)
+        window.null = self.unrelated.begin_anew(window.steps[self._since :], window.null)
         self._join(*self._with_another_bias(recent))
         self.is_sure, self.searched_at, self._trail, self._stood = False, -np.inf, [], np.nan
 
@@ -141,8 +131,7 @@ class Belief:
             one["earlier"] = np.log(self._config.end_probability / recent)
             follow(one, self._known, self._model, window.steps[-back:], fared[-back:], moves_first=True)
             bank, fit = np.concatenate([bank, one]), np.concatenate([fit, fared], axis=1)
-        steps, _, null = self._parts(self._since)
-        gained, *_ = evidence(steps, fit[self._since :], null, self._known, self._penalty)
+        gained, *_ = evidence(replace(window, fit=fit)[self._since :], self._known, self._penalty)
         best = np.argsort(-gained, kind="stable")[:1]
         return bank[best], np.ascontiguousarray(fit[:, best])
 
@@ -150,24 +139,28 @@ class Belief:
         self._bank = np.concatenate([self._bank, bank])
         self._window.join(fit)
 
+    def _keep(self, rows: Sequence[int]) -> None:
+        self._bank = self._bank[rows]
+        self._window.keep(rows)
+
     def is_due(self) -> bool:
         """Whether it is time to look for other hypotheses."""
         if self.is_sure:
             return False
-        walked, length = self._window.steps["walked"], self._known.length
-        is_long = walked[-1] - walked[self._since] >= self._config.min_window * length
+        walked, length = self._counting.steps["walked"], self._known.length
+        is_long = walked[-1] - walked[0] >= self._config.min_window * length
         return bool(is_long and walked[-1] - self.searched_at >= self._config.min_window / 2 * length)
 
     def search(self) -> None:
         """Search for hypotheses without a prior, using the bins that count."""
-        steps, *_ = self._parts(self._since)
+        steps = self._counting.steps
         self.searched_at = steps[-1]["walked"]
         self._join(*search(self._known, self._model, steps, self._config))
 
     def weigh(self) -> float:
         """Weigh all hypotheses and keep distinct ones, most likely first; returns the log odds of all, nats."""
         same = self._config.same(self._known.length)
-        weighed = weigh(self._bank, *self._parts(self._since), self._known, self._penalty, same)
+        weighed = weigh(self._bank, self._counting, self._known, self._penalty, same)
         odds = [log_odds(w.log_evidence, w.misfit, w.kind) for w in weighed]
         ranked = sorted(zip(odds, weighed, strict=True), key=lambda one: -one[0])
         self.log_odds = ranked[0][0] if ranked else -np.inf
@@ -178,8 +171,7 @@ class Belief:
         if not rows or 0 not in self._weighed[0].rows:
             self.is_sure, self._trail, self._stood = False, [], np.nan
         if rows != list(range(len(self._bank))):
-            self._bank = self._bank[rows]
-            self._window.keep(rows)
+            self._keep(rows)
         return self.total_odds
 
     def judge(self, elsewhere: float) -> None:
@@ -187,8 +179,10 @@ class Belief:
         decision = self._config.decision
         self._found = posterior_of([Answer.of([w]) for w in self._weighed], decision.prior_odds, elsewhere)
         self._words = f"probability {in_words(self._found.best)}"
-        is_known = self._is_place_known()
-        off = self._too_uncertain() if is_known else ""
+        is_known, off = self._is_place_known(), ""
+        if is_known:
+            best = self._found.poses[0]
+            off = too_uncertain(covariance_of(best.one, self._known, best.factor), self._most_sd)
         self.is_sure = is_known and not off
         if not is_known or np.isnan(self._stood):
             self._stood = 0.0 if is_known else np.nan
@@ -205,13 +199,11 @@ class Belief:
         """Follow the trusted pose also under other drifts of the odometry, of which evidence tells in time."""
         if len(self._weighed[0].rows) > 1:
             return
-        rows, bank = [0] * len(FACTORS), self._bank
-        new = bank[rows]
-        new["earlier"] += FACTOR_ODDS
-        new["drift"] = FACTORS**2
-        self._bank = np.concatenate([new, bank[1:]])
-        self._window.keep([*rows, *range(1, len(bank))])
-        self._weighed[0] = replace(self._weighed[0], rows=tuple(range(len(rows))))
+        n = len(FACTORS)
+        self._keep([*[0] * n, *range(1, len(self._bank))])
+        self._bank["earlier"][:n] += FACTOR_ODDS
+        self._bank["drift"][:n] = FACTORS**2
+        self._weighed[0] = replace(self._weighed[0], rows=tuple(range(n)))
 
     @property
     def stands(self) -> bool:
@@ -229,18 +221,13 @@ class Belief:
     def _is_place_known(self) -> bool:
         return bool(self._found.poses) and self._found.best >= self._config.decision.min_probability
 
-    def _too_uncertain(self) -> str:
-        """How far the best pose at the last bin exceeds the limits; nothing if not."""
-        best = self._found.poses[0]
-        return too_uncertain(covariance_of(best.one, self._known, best.factor), self._most_sd)
-
     @property
     def _most_sd(self) -> tuple[float, float]:
         return self._config.decision.max_sd(self._known.length)
 
     def estimate(self, T: Matrix, *, at_once: bool) -> PoseEstimate:
         """The present estimate, at a pose in the odometry's frame, (4, 4); see `Localizer.estimate`."""
-        stands = (at_once or self.stands) if self._is_place_known() else False
+        stands = self._is_place_known() and (at_once or self.stands)
         if not (self.is_sure and stands):
             status = LocalizerStatus.LOST if self._was_sure else LocalizerStatus.SEARCHING
             words = untested_words(self._words, self._path_to_stand) if self.is_sure else self._words
@@ -265,7 +252,7 @@ class Belief:
 
     def hypotheses(self) -> list[PoseHypothesis]:
         """Hypotheses at the last bin, most likely first."""
-        T_map_model = RigidTransform.from_matrix(self._known.frame.T_map_model)
+        T_map_model = RigidTransform.from_matrix(self._known.T_map_model)
         found = zip(self._found.poses, self._found.probabilities, strict=True)
         return [PoseHypothesis(self._known.name, T_map_model * w.T_base_target, odds) for w, odds in found]
 

@@ -7,21 +7,17 @@ import numpy as np
 
 from magmatch.compiled import compiled
 from magmatch.features.wahba import to_rotation
-from magmatch.typing import VECTOR, Matrix, Vector3
+from magmatch.typing import ROTATION, VECTOR
 
+# A bin: means of its time (s), of the body's pose in the odometry's frame, and of the field (T) in that pose's axes,
+# with its derivative by the sensor's bias. And the odometry that leads to it: turn, shift (m, in the axes of the body
+# before) and time from the bin before, and the path so far (m); until it is placed behind others, zeros.
+STEP = np.dtype([
+    ("dR", ROTATION), ("u", VECTOR), ("dt", "f8"), ("z", VECTOR), ("M", ROTATION), ("R", ROTATION), ("p", VECTOR),
+    ("t", "f8"), ("walked", "f8"),
+])  # fmt: skip
 # Sums over a bin's samples: number, times, poses, fields in the odometry's axes; and where its first lies.
 SUMS = np.dtype([("n", "i8"), ("t", "f8"), ("T", "f8", (3, 4)), ("b", VECTOR), ("first", VECTOR)])
-
-
-@dataclass(eq=False, slots=True)
-class Bin:
-    """Samples of a bin."""
-
-    t: float  # s: mean time
-    R: Matrix  # (3, 3): mean pose of the body in the odometry's frame
-    p: Vector3  # (3,)
-    z: Vector3  # (3,), T: mean field, in the axes of the mean body orientation
-    M: Matrix  # (3, 3): derivative of the mean field with respect to the sensor's bias
 
 
 @dataclass(eq=False, slots=True)
@@ -32,13 +28,13 @@ class Binning:
     # The bin under way, and the last that is complete.
     _sums: np.ndarray = field(default_factory=lambda: np.zeros(2, SUMS))
 
-    def add(self, sample: np.ndarray) -> Bin | None:
-        """Add a sample, (1,) of `samples.SAMPLE`; returns the previous bin if the sample completes it."""
-        return self._close() if _add(self._sums, sample, self.side) else None
-
-    def _close(self) -> Bin:
-        R, p, z, M = np.empty((3, 3)), np.empty(3), np.zeros(3), np.zeros((3, 3))
-        return Bin(_average(self._sums, R, p, z, M, *np.empty((2, 4, 4))), R, p, z, M)
+    def add(self, sample: np.ndarray) -> np.ndarray | None:
+        """Add a sample, (1,) of `samples.SAMPLE`; gives the bin, (1,) of STEP, that it completes."""
+        if not _add(self._sums, sample, self.side):
+            return None
+        done = np.zeros(1, STEP)
+        _average(self._sums, done, *np.empty((2, 4, 4)))
+        return done
 
 
 @compiled
@@ -66,17 +62,18 @@ def _add(sums, sample, side):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _average(sums, R, p, z, M, K, V):  # type: ignore[no-untyped-def]
-    """Fill in what a `Bin` holds, from the sums of the complete one; gives its time."""
-    done = sums[1]
+def _average(sums, found, K, V):  # type: ignore[no-untyped-def]
+    """Fill in the means of the complete bin."""
+    done, one = sums[1], found[0]
+    R = one.R
+    one.t = done.t / done.n
     for a in range(3):
-        p[a] = done.T[a, 3] / done.n
+        one.p[a] = done.T[a, 3] / done.n
         for e in range(3):
             R[a, e] = done.T[a, e] / done.n
     to_rotation(R, K, V)
     for a in range(3):
         for e in range(3):
-            z[a] += R[e, a] * done.b[e] / done.n
+            one.z[a] += R[e, a] * done.b[e] / done.n
             for k in range(3):
-                M[a, e] += R[k, a] * done.T[k, e] / done.n
-    return done.t / done.n
+                one.M[a, e] += R[k, a] * done.T[k, e] / done.n

@@ -40,7 +40,9 @@ def follow_log(known: KnownPlaces, walk: Survey, config: LocalizerConfig, *, at_
     with one_blas_thread():
         with clock("map"):
             localizer = Localizer(known, config)
-        estimates, places, was_stated = [], {}, False
+        estimates: list[PoseEstimate] = []
+        # Which map: as of the last stated pose, or of the end where none is.
+        places: dict[str, float] = {}
         with clock("follow"):
             for n, t in enumerate(walk.times):
                 if n % 1000 == 0:
@@ -50,10 +52,10 @@ def follow_log(known: KnownPlaces, walk: Survey, config: LocalizerConfig, *, at_
                 except OdometryJump as jump:
                     log.warning("%s: sample %d: %s", walk.name, n, jump)
                 estimates.append(localizer.estimate(at_once=at_once))
-                # Which map: as of the last stated pose, or of the end where none is.
-                is_end, was_stated = n == len(walk) - 1 and not was_stated, was_stated or estimates[-1].is_stated
-                if known.atlas and (estimates[-1].is_stated or is_end):
+                if known.atlas and estimates[-1].is_stated:
                     places = localizer.map_probabilities()
+            if known.atlas and not any(e.is_stated for e in estimates):
+                places = localizer.map_probabilities()
     return Track(walk, _maps(known, estimates), estimates, config, clock.seconds(), places)
 
 

@@ -11,19 +11,19 @@ test, is believed only as far as the other direction, which found the body elsew
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey
 from magmatch.geometry import path_walked, transform_from_product
-from magmatch.localization.belief import BIN_LENGTH, untested_words
+from magmatch.localization.belief import untested_words
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, if_accurate
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.known_places import KnownPlaces
-from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.track import Track
 from magmatch.typing import Mask, Scalars
 
@@ -36,34 +36,19 @@ def smooth(known: KnownPlaces, walk: Survey, config: LocalizerConfig) -> Track:
     """Localise a log in a map, using also the samples after each pose; see `localize`."""
     # Whether a fix stands is seen from the whole log.
     there, back = (follow_log(known, log, config, at_once=True) for log in (walk, reversed_log(walk)))
-    forward, backward = list(there.estimates), list(reversed(back.estimates))
-    both, agree = agreement(forward, backward)
-    length = LikelyMaps(known, config).bin_length / BIN_LENGTH
-    steps, tested = np.diff(path_walked(walk.positions), prepend=0.0), config.stands * length
+    both, agree = agreement(there.estimates, back.estimates[::-1])
     # A step back ends where that step began.
-    steps_back = np.concatenate([[0.0], steps[:0:-1]])
-    stands = _only(forward, both, agree, steps, tested)
-    stands_back = _only(backward[::-1], both[::-1], agree[::-1], steps_back, tested)[::-1]
+    steps, tested = np.diff(path_walked(walk.positions)), config.stands * known.length
+    forward = believed(there.estimates, both, agree, np.append(0.0, steps), tested)
+    backward = believed(back.estimates, both[::-1], agree[::-1], np.append(0.0, steps[::-1]), tested)
     lengths = {} if known.atlas is None else {entry.name: entry.table.length for entry in known.atlas.entries}
-    joined = in_order(
-        [if_accurate(e, config.decision.max_sd(lengths.get(e.map or "", length))) for e in join(stands, stands_back)]
-    )
+    joined = [
+        if_accurate(e, config.decision.max_sd(lengths.get(e.map or "", known.length)))
+        for e in join(forward, backward[::-1])
+    ]
     seconds = {key: there.seconds[key] + back.seconds[key] for key in there.seconds}
     places = back.places if back.is_stated.any() and not there.is_stated.any() else there.places
-    return replace(there, estimates=joined, seconds=seconds, places=places)
-
-
-def _only(
-    estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: Scalars, tested: float
-) -> list[PoseEstimate]:
-    """Estimates without the poses that do not stand, with the reason; the arguments of `believed`."""
-    lost, found = PoseEstimate(LocalizerStatus.LOST, REFUTED), list(estimates)
-    stands, is_refuted = believed(estimates, both, agree, steps, tested), refuted(estimates, both, agree)
-    for n in np.flatnonzero([e.is_stated for e in estimates] & ~stands).tolist():
-        e = estimates[n]
-        untested = PoseEstimate(LocalizerStatus.LOST, untested_words(e.reason, tested), probability=e.probability)
-        found[n] = lost if is_refuted[n] else untested
-    return found
+    return replace(there, estimates=in_order(joined), seconds=seconds, places=places)
 
 
 def reversed_log(walk: Survey) -> Survey:
@@ -86,16 +71,7 @@ def join(forward: Sequence[PoseEstimate], backward: Sequence[PoseEstimate]) -> l
     for n, (pair, contradicts) in enumerate(zip(zip(forward, backward, strict=True), both & ~agree, strict=True)):
         # What else is said is that of the direction with more of the path behind it.
         order = pair if 2 * n >= len(both) else pair[::-1]
-        better = max(
-            order,
-            key=lambda e: (
-                e.is_stated,
-                e.status is LocalizerStatus.LOCALIZED,
-                e.is_place_known,
-                0.0 if e.is_stated else e.probability,
-            ),
-        )
-        joined.append(refuted if contradicts else better)
+        joined.append(refuted if contradicts else max(order, key=_says))
     rows = np.flatnonzero(agree).tolist()
     (T_map_a, A), (T_map_b, B) = (stacked([each[n] for n in rows]) for each in (forward, backward))
     # Both weigh one half.
@@ -108,40 +84,19 @@ def join(forward: Sequence[PoseEstimate], backward: Sequence[PoseEstimate]) -> l
     return joined
 
 
+def _says(e: PoseEstimate) -> tuple[bool, bool, bool, float]:
+    """How much an estimate says, to compare two."""
+    probability = 0.0 if e.is_stated else e.probability
+    return e.is_stated, e.status is LocalizerStatus.LOCALIZED, e.is_place_known, probability
+
+
 def in_order(joined: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     """Estimates of both directions in the log's: what is unstated is searched for up to the first pose, then lost."""
     first = next((n for n, e in enumerate(joined) if e.is_stated), len(joined))
-    unstated = [LocalizerStatus.SEARCHING] * first + [LocalizerStatus.LOST] * (len(joined) - first)
     return [
-        e if e.is_stated or e.status is status else replace(e, status=status)
-        for e, status in zip(joined, unstated, strict=True)
+        e if e.is_stated else replace(e, status=LocalizerStatus.SEARCHING if n < first else LocalizerStatus.LOST)
+        for n, e in enumerate(joined)
     ]
-
-
-@dataclass(frozen=True, slots=True)
-class TrustedSpan:
-    """Rows ``first`` to ``last`` (inclusive), in the direction of travel: one place, trusted throughout."""
-
-    first: int
-    last: int
-    is_contradicted: bool  # by what follows it at once
-
-    @property
-    def rows(self) -> slice:
-        """Give the samples as an index."""
-        return slice(self.first, self.last + 1)
-
-
-def stretches(estimates: Sequence[PoseEstimate]) -> list[TrustedSpan]:
-    """Stretches in which poses are stated; a pose that only became too uncertain contradicts nothing."""
-    found, first, last = [], -1, len(estimates) - 1
-    for n, e in enumerate(estimates):
-        if e.is_stated and first < 0:
-            first = n
-        if first >= 0 and (n == last or not estimates[n + 1].is_stated or estimates[n + 1].map != e.map):
-            found.append(TrustedSpan(first, n, n < last and not estimates[n + 1].is_place_known))
-            first = -1
-    return found
 
 
 def agreement(a: Sequence[PoseEstimate], b: Sequence[PoseEstimate]) -> tuple[Mask, Mask]:
@@ -166,38 +121,41 @@ def offsets(T_map_a: RigidTransform, T_map_b: RigidTransform) -> np.ndarray:
     return (T_map_a.inv() * T_map_b).as_exp_coords()
 
 
-def believed(estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: Scalars, tested: float) -> Mask:
-    """Rows whose poses stand, (n,), of estimates in the direction of travel; ``steps``: path from the row before (m).
+def believed(
+    estimates: Sequence[PoseEstimate], both: Mask, agree: Mask, steps: Scalars, tested: float
+) -> list[PoseEstimate]:
+    """Estimates in the direction of travel, those whose poses do not stand without these, and with the reason.
 
-    Where both directions state poses and mostly disagree, one of the stretches is wrong, and nothing says which. One
-    that ended within the path ``tested`` (m) counts up to where the other direction agrees; so does one that ended in
-    a contradiction, or up to that path before its end if it had stood before that. Only path in the map counts.
+    ``steps``: path from the row before (m). Where both directions state poses and mostly disagree, one of the
+    stretches is wrong, and nothing says which. One that ended within the path ``tested`` (m) counts up to where the
+    other direction agrees; so does one that ended in a contradiction, or up to that path before its end if it had
+    stood before that. Only path in the map counts.
     """
     walked = np.cumsum(np.where([e.status is LocalizerStatus.DEAD_RECKONING for e in estimates], 0.0, steps))
-    stands = np.zeros(len(estimates), dtype=np.bool_)
-    for one in stretches(estimates):
-        met, agreed = both[one.rows], agree[one.rows]
-        if one.is_contradicted:
-            # The contradiction began within the path by which a place is doubted; what stood before that still does.
-            back = walked[one.last] - walked[one.rows]
-            if back[0] >= 2 * tested and not _mostly_disagree(met, agreed):
-                stands[one.rows] = back >= tested
-        is_tested = walked[one.last] - walked[one.first] >= tested and not one.is_contradicted
+    found = list(estimates)
+    for first, end in stretches(estimates):
+        met, agreed, back = both[first:end], agree[first:end], walked[end - 1] - walked[first:end]
+        # By what follows at once; a pose that only became too uncertain contradicts nothing.
+        is_contradicted = end < len(estimates) and not estimates[end].is_place_known
+        mostly_disagree = bool(met.any()) and agreed.sum() < 0.5 * met.sum()
+        is_tested = back[0] >= tested and not is_contradicted
+        stands = np.full(end - first, is_tested and not mostly_disagree)
         if agreed.any() and not is_tested:
-            stands[one.first : one.first + int(np.flatnonzero(agreed)[-1]) + 1] = True
-        elif is_tested and not _mostly_disagree(met, agreed):
-            stands[one.rows] = True
-    return stands
-
-
-def refuted(estimates: Sequence[PoseEstimate], both: Mask, agree: Mask) -> Mask:
-    """Rows of stretches that are contradicted, (n,): by what follows at once, or mostly by the other direction."""
-    found = np.zeros(len(estimates), dtype=np.bool_)
-    for one in stretches(estimates):
-        found[one.rows] = one.is_contradicted or _mostly_disagree(both[one.rows], agree[one.rows])
+            stands[: np.flatnonzero(agreed)[-1] + 1] = True
+        # The contradiction began within the path by which a place is doubted; what stood before that still does.
+        if is_contradicted and back[0] >= 2 * tested and not mostly_disagree:
+            stands |= back >= tested
+        for n in (first + np.flatnonzero(~stands)).tolist():
+            if is_contradicted or mostly_disagree:
+                found[n] = PoseEstimate(LocalizerStatus.LOST, REFUTED)
+            else:
+                words = untested_words(found[n].reason, tested)
+                found[n] = PoseEstimate(LocalizerStatus.LOST, words, probability=found[n].probability)
     return found
 
 
-def _mostly_disagree(met: Mask, agreed: Mask) -> bool:
-    """Whether both directions meet, and agree at less than half of these poses."""
-    return bool(met.any()) and bool(agreed.sum() < 0.5 * met.sum())
+def stretches(estimates: Sequence[PoseEstimate]) -> list[tuple[int, int]]:
+    """First row and end of each stretch in which poses are stated, in one map."""
+    groups = groupby(range(len(estimates)), lambda n: (estimates[n].is_stated, estimates[n].map))
+    found = [list(rows) for (is_stated, _), rows in groups if is_stated]
+    return [(rows[0], rows[-1] + 1) for rows in found]

@@ -11,7 +11,7 @@ from magmatch._version import __version__
 from magmatch.errors import DataFormatError
 from magmatch.estimation.posterior import Answer, Posterior
 from magmatch.localization.belief import Belief
-from magmatch.localization.bins import Bin, Binning
+from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces, NotReadyError
 from magmatch.localization.likely_maps import LikelyMaps
@@ -21,10 +21,10 @@ from magmatch.localization.samples import LastSample
 from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 
 # What a state may consist of, and changes with.
-SCHEMA = "magmatch.localizer/9"
-KINDS = (Answer, Bin, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
-# Of a belief and its null model: what follows from the map and the settings.
-MADE_ANEW = {"_known", "_config", "_model", "_start"}
+SCHEMA = "magmatch.localizer/10"
+KINDS = (Answer, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
+# Of a belief, what follows from the map and the settings.
+MADE_ANEW = {"_known", "_config", "_model", "unrelated"}
 
 
 def state_of(localizer: Localizer) -> dict[str, Any]:
@@ -69,7 +69,9 @@ def restored(
     for maps, kept in zip(looks, state["maps"], strict=True):
         maps._bins, maps._n_until_vote, maps.likely = kept["bins"], kept["n_until_vote"], {}
         for name, _, of_belief in kept["likely"]:
-            maps.likely[entries[name]] = _belief_from(of_belief, Belief(ready[name], config))
+            belief = maps.likely[entries[name]] = Belief(ready[name], config)
+            belief.unrelated.now = of_belief.pop("unrelated")
+            vars(belief).update(of_belief)
     localizer._maps, localizer._anew, *_ = *looks, None
     return localizer
 
@@ -88,10 +90,4 @@ def _likely_maps(maps: LikelyMaps) -> dict[str, Any]:
 
 def _belief(belief: Belief) -> dict[str, Any]:
     kept = {name: value for name, value in vars(belief).items() if name not in MADE_ANEW}
-    return kept | {"_null": {name: v for name, v in vars(belief._null).items() if name not in MADE_ANEW}}
-
-
-def _belief_from(kept: dict[str, Any], belief: Belief) -> Belief:
-    vars(belief._null).update(kept.pop("_null"))
-    vars(belief).update(kept)
-    return belief
+    return kept | {"unrelated": belief.unrelated.now}

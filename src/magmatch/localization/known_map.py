@@ -33,23 +33,16 @@ class Ground(NamedTuple):
     up: np.ndarray
 
 
-class Frame(NamedTuple):
-    """The place of the model frame in the map, as compiled loops take it."""
-
-    T_map_model: Matrix  # (4, 4)
-    up: Vector3  # the map's z, model frame
-    bent: Covariance6  # (6, 6): covariance of the map's own poses' errors, rotation first (rad, m)
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class KnownMap:
     """A map prepared for localisation."""
 
     index: MapIndex
     name: str
+    T_map_model: Matrix  # (4, 4)
     R_model_map: Matrix  # (3, 3)
     ground: Ground
-    frame: Frame
+    bent: Covariance6  # (6, 6): covariance of the map's own poses' errors, rotation first (rad, m)
     length: float  # m: field length
     noise: PathNoise  # covariance of another walk's residuals
     anchors: Points  # (a, 3), m: where a search begins: the map's own samples, thinned
@@ -63,8 +56,8 @@ class KnownMap:
 
     @property
     def up(self) -> Vector3:
-        """The map's z."""
-        return self.frame.up
+        """The map's z, model frame."""
+        return self.ground.up
 
     @property
     def dispersion(self) -> float:
@@ -94,13 +87,14 @@ class KnownMap:
         R = np.ascontiguousarray(rotation_matrix(base.T_map_model).T)
         # An error that a whole log of the map shares shows in none of its stretches: it counts as stated.
         place_sd = max(noise.drift_sd, base.field_map.survey.pose_sd)
-        up, bent = np.ascontiguousarray(R[:, 2]), np.diag(np.repeat([noise.attitude_sd**2, place_sd**2], 3))
+        log_factors, log_priors = (np.ascontiguousarray(each[::FACTORS_EVERY]) for each in noise.log_factors())
         return cls(
             index,
             base.field_map.survey.name if base.field_map.file is None else base.field_map.file.path.name,
+            base.T_map_model.as_matrix(),
             R,
-            Ground(values, raster.origin, raster.spacing, up),
-            Frame(base.T_map_model.as_matrix(), up, bent),
+            Ground(values, raster.origin, raster.spacing, np.ascontiguousarray(R[:, 2])),
+            np.diag(np.repeat([noise.attitude_sd**2, place_sd**2], 3)),
             index.length,
             noise,
             np.ascontiguousarray(anchors),
@@ -109,10 +103,5 @@ class KnownMap:
             float(np.sqrt((base.sample_field**2).mean())),
             base.sample_field.mean(axis=0),
             base.field_map.bias_spread,
-            _some_factors(noise),
+            (log_factors, log_priors - np.logaddexp.reduce(log_priors)),
         )
-
-
-def _some_factors(noise: PathNoise) -> tuple[Scalars, Scalars]:
-    log_factors, log_priors = (np.ascontiguousarray(each[::FACTORS_EVERY]) for each in noise.log_factors())
-    return log_factors, log_priors - np.logaddexp.reduce(log_priors)

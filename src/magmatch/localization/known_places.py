@@ -4,11 +4,16 @@
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
+from magmatch.arguments import expect_kind
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.formats.sniff import sniff
+from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import DataFormatError
 from magmatch.estimation.limits import MAX_LOADED
@@ -16,9 +21,11 @@ from magmatch.field.map import FieldMap
 from magmatch.localization.known_map import KnownMap
 from magmatch.registration.index.atlas import Atlas, AtlasEntry, open_atlas
 from magmatch.registration.index.map_index import SUFFIX, MapIndex
+from magmatch.registration.maps import survey_of
 
 Place = FieldMap | MapIndex | Atlas
 T = TypeVar("T")
+ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
 
 
 class NotReadyError(Exception):
@@ -32,6 +39,7 @@ class KnownPlaces:
     """
 
     def __init__(self, place: Place, loader: Executor | None = None) -> None:
+        expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
         self.loader = loader
         # The folder of maps, or the only map.
         self.atlas: Atlas | None
@@ -40,6 +48,18 @@ class KnownPlaces:
         self._making: dict[AtlasEntry | None, Future[KnownMap]] = {}
         self._ready: dict[AtlasEntry | None, KnownMap] = {}
         self._fingerprint: str | None = None
+
+    @cached_property
+    def is_constant(self) -> bool:
+        """Whether the only map's field is the same everywhere: it has no field length either."""
+        return self.alone is not None and bool(survey_of(self.alone).field.std(axis=0).max() < RESOLVED)
+
+    @cached_property
+    def length(self) -> float:
+        """Field length, m: in a folder, the median one; of a constant field, any."""
+        if self.atlas is not None:
+            return float(np.median([entry.table.length for entry in self.atlas.entries]))
+        return 4.0 if self.is_constant else self.of(None).length
 
     @property
     def entries(self) -> Sequence[AtlasEntry | None]:
@@ -99,13 +119,8 @@ def open_place(path: Path, names: Collection[str] | None = None) -> Place:
     """Open a map, or a folder of maps, all or those of some names."""
     if is_folder(path):
         return open_atlas(path, names=names)
-    path = map_of(path)
+    path = path.with_suffix("") if path.suffix == SUFFIX else path  # whose index may be given
     if (found := sniff(path)) != "map":
         advice = "make a map with 'magmatch map SURVEY --out MAP'"
         raise DataFormatError(path, f"expected a saved map, found a {found} file; {advice}")
     return FieldMap.load(path)
-
-
-def map_of(path: Path) -> Path:
-    """Path of a saved map, of which the index may be given."""
-    return path.with_suffix("") if path.suffix == SUFFIX else path

@@ -7,15 +7,13 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from magmatch.data.sensor_axes import RESOLVED
 from magmatch.data.survey import Survey
 from magmatch.errors import DataFormatError
 from magmatch.localization.belief import BIN_LENGTH, Belief
-from magmatch.localization.bins import Bin
+from magmatch.localization.bins import STEP
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.known_places import KnownPlaces
 from magmatch.registration.index.atlas import Atlas, AtlasEntry
-from magmatch.registration.maps import survey_of
 from magmatch.registration.search.retrieval import count_votes, shortlist
 from magmatch.typing import Scalars
 
@@ -28,21 +26,17 @@ class LikelyMaps:
     """The belief in each likely map."""
 
     def __init__(self, known: KnownPlaces, config: LocalizerConfig) -> None:
-        self.config, self._atlas, self.known = config, known.atlas, known
-        self._bins: list[Bin] = []
+        self.config, self.known = config, known
+        self._bins = np.zeros(0, STEP)
         self._n_until_vote = round(config.min_window / BIN_LENGTH)
         self.likely: dict[AtlasEntry | None, Belief] = {}
         self._voting: Future[Scalars] | None = None
         self._awaited: list[AtlasEntry] = []
-        self.bin_length, self.why_none = 1.0, "the body has moved too little"
-        if known.atlas is not None:
-            self.bin_length = BIN_LENGTH * float(np.median([entry.table.length for entry in known.atlas.entries]))
-        elif known.alone is not None and survey_of(known.alone).field.std(axis=0).max() < RESOLVED:
-            # It has no field length either.
+        self.why_none = "the body has moved too little"
+        if known.is_constant:
             self.why_none = "the map's field is constant: nothing tells places apart"
-        else:
+        elif known.atlas is None:
             self.likely = {None: Belief(known.of(None), config)}
-            self.bin_length = BIN_LENGTH * known.of(None).length
 
     @property
     def best(self) -> Belief | None:
@@ -59,35 +53,30 @@ class LikelyMaps:
         """Whether a place is trusted, and stands."""
         return (best := self.best) is not None and best.is_sure and best.stands
 
-    def take(self, done: Bin, may_search: Callable[[], bool] = lambda: True) -> None:
-        """Take a bin along the path: follow, doubt, search and judge."""
-        self._follow(done)
-        for belief in self.likely.values():
-            if belief.is_doubtful():
-                belief.doubt()
-        for belief in self._due():
-            if may_search():
-                belief.search()
-        self._judge()
-
-    def _follow(self, done: Bin) -> None:
-        """Follow a bin in each likely map."""
+    def take(self, done: np.ndarray, may_search: Callable[[], bool] = lambda: True) -> None:
+        """Take a bin along the path, (1,) of STEP: follow it in each likely map, doubt, search, judge."""
         for belief in self.likely.values():
             belief.follow(done)
-        if self._atlas is not None:
-            self._bins = [*self._bins, done][-round(self.config.window / BIN_LENGTH) :]
+        if self.known.atlas is not None:
+            self._bins = np.concatenate([self._bins, done])[-round(self.config.window / BIN_LENGTH) :]
             if self._is_sure:
                 # It is in one map: of the others those remain that its path supports, and none is searched.
                 self._keep_likely()
             else:
-                self._vote(self._atlas)
+                self._vote(self.known.atlas)
                 self._begin()
-
-    def _due(self) -> list[Belief]:
-        """Beliefs to search for hypotheses, that which waits longest first."""
-        if self._is_sure:
-            return []
-        return sorted((belief for belief in self.likely.values() if belief.is_due()), key=lambda one: one.searched_at)
+        for belief in self.likely.values():
+            if belief.is_doubtful():
+                belief.doubt()
+        due = [] if self._is_sure else [belief for belief in self.likely.values() if belief.is_due()]
+        # That which waits longest first.
+        for belief in sorted(due, key=lambda one: one.searched_at):
+            if may_search():
+                belief.search()
+        odds = {key: belief.weigh() for key, belief in self.likely.items()}
+        for key, belief in self.likely.items():
+            others = [o for other, o in odds.items() if other is not key]
+            belief.judge(float(np.logaddexp.reduce(others, initial=-np.inf)))
 
     @property
     def _is_sure(self) -> bool:
@@ -95,14 +84,6 @@ class LikelyMaps:
 
     def _keep_likely(self, voted: Sequence[AtlasEntry] = ()) -> None:
         self.likely = {key: b for key, b in self.likely.items() if key in voted or b.log_odds > 0}
-
-    def _judge(self) -> None:
-        """Weigh all hypotheses of all maps against each other."""
-        odds = {key: belief.weigh() for key, belief in self.likely.items()}
-        for key, belief in self.likely.items():
-            belief.judge(
-                float(np.logaddexp.reduce([o for other, o in odds.items() if other is not key], initial=-np.inf))
-            )
 
     def probabilities(self) -> dict[str, float]:
         """Give the probability of each likely map, most likely first; what is left is that the body is in none."""
@@ -116,7 +97,7 @@ class LikelyMaps:
         self._n_until_vote -= 1
         if self._n_until_vote <= 0 and self._voting is None:
             self._n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
-            p, b = (np.stack(rows) for rows in zip(*((one.p, one.R @ one.z) for one in self._bins), strict=True))
+            p, b = self._bins["p"], np.stack([one["R"] @ one["z"] for one in self._bins])
             tables = [entry.table for entry in atlas.entries]
             self._voting = self.known.aside(count_votes, tables, Survey(p, b), atlas.config.walks.search, 0)
         if self._voting is None or not self._voting.done():
@@ -140,6 +121,6 @@ class LikelyMaps:
                 continue
             if known is not None:
                 self.likely[entry] = Belief(known, self.config)
-                for one in self._bins:
-                    self.likely[entry].follow(one)
+                for k in range(len(self._bins)):
+                    self.likely[entry].follow(self._bins[k : k + 1])
         self._awaited = [entry for entry in self._awaited if entry not in self.likely]

@@ -3,16 +3,12 @@
 
 from magmatch.arguments import expect_kind
 from magmatch.data.survey import Survey
-from magmatch.field.map import FieldMap
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.follow_log import follow_log
 from magmatch.localization.hindsight import smooth
 from magmatch.localization.known_places import KnownPlaces, Place
-from magmatch.localization.localizer import ADVICE
 from magmatch.localization.track import Track
 from magmatch.progress import Progress, followed
-from magmatch.registration.index.atlas import Atlas
-from magmatch.registration.index.map_index import MapIndex
 
 
 def localize(
@@ -49,10 +45,10 @@ def localize(
     SurveyError
         The log holds NaN, impossible values, too few samples or no times.
     """
-    expect_kind(place, "place", (FieldMap, MapIndex, Atlas), ADVICE)
+    known = KnownPlaces(place)
     expect_kind(log, "log", (Survey,), "a log is a Survey with times; read_survey reads one")
     config = config or LocalizerConfig()
     expect_kind(config, "config", (LocalizerConfig,))
     with followed(progress):
         settled = config.settled(is_dead_reckoned=log.is_dead_reckoned)
-        return (follow_log if live else smooth)(KnownPlaces(place), log, settled)
+        return (follow_log if live else smooth)(known, log, settled)

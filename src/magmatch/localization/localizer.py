@@ -7,19 +7,16 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import expect_kind, expect_transform
-from magmatch.field.map import FieldMap
+from magmatch.localization.belief import BIN_LENGTH
 from magmatch.localization.bins import Binning
 from magmatch.localization.config import LocalizerConfig
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate, PoseHypothesis
 from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.samples import LastSample
-from magmatch.registration.index.atlas import Atlas
-from magmatch.registration.index.map_index import MapIndex
 from magmatch.threads import one_blas_thread
 from magmatch.typing import Vector3
 
-ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
 FOUND_ELSEWHERE = "the path since the body was thought to have left the map is in the map elsewhere"
 
 
@@ -35,7 +32,6 @@ class Localizer:
 
     def __init__(self, place: Place | KnownPlaces, config: LocalizerConfig | None = None) -> None:
         config = config or LocalizerConfig()
-        expect_kind(place, "place", (FieldMap, MapIndex, Atlas, KnownPlaces), ADVICE)
         expect_kind(config, "config", (LocalizerConfig,))
         with one_blas_thread():
             known = place if isinstance(place, KnownPlaces) else KnownPlaces(place)
@@ -45,7 +41,7 @@ class Localizer:
         self._anew: LikelyMaps | None = None
         self._is_refuted = False  # the place trusted up to this sample
         self._samples = LastSample()
-        self._binning = Binning(self._maps.bin_length)
+        self._binning = Binning(BIN_LENGTH * known.length)
 
     def update(self, t: float, T_odom_body: RigidTransform, field: Vector3) -> None:
         """Take a sample.

@@ -5,23 +5,17 @@ g^2 is the variance of the field that does not repeat from walk to walk, s^2 tha
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from magmatch.compiled import allocating, compiled
-from magmatch.localization.bins import Bin
+from magmatch.localization.bins import STEP
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.state import BIAS, ERROR, GAIN, MISFIT, N_READ, PLACE, Model, N, correct, predict, settle
 from magmatch.registration.prepared.raster import find_cell, interpolate
-from magmatch.typing import ROTATION, VECTOR
 
-# A bin and the odometry that leads to it: turn, shift (m, in the axes of the body before) and time (s) from the bin
-# before; field (T) in the body's axes and how a bias enters it; the body in the odometry's frame; time (s), path (m).
-STEP = np.dtype([
-    ("dR", ROTATION), ("u", VECTOR), ("dt", "f8"), ("z", VECTOR), ("M", ROTATION), ("R", ROTATION), ("p", VECTOR),
-    ("t", "f8"), ("walked", "f8"),
-])  # fmt: skip
 # How well a hypothesis predicted a bin: chi^2, half its log-determinant; whether the map knows the place; whether the
 # bin was predicted at all.
 FIT = np.dtype([("chi2", "f8"), ("half_log_det", "f8"), ("is_known", "i8"), ("is_seen", "i8")])
@@ -43,22 +37,22 @@ class LatestBins:
     def __len__(self) -> int:
         return len(self.steps)
 
-    def add(self, b: Bin) -> None:
-        """Add a bin; its predictions are still to be written."""
-        last = self.steps[-1] if len(self) else None
-        self.steps, self.fit, self.null = (
-            np.concatenate([part, np.zeros((1, *part.shape[1:]), part.dtype)])
-            for part in (self.steps, self.fit, self.null)
+    def __getitem__(self, rows: slice) -> "LatestBins":
+        return LatestBins(self.steps[rows], self.fit[rows], self.null[rows])
+
+    def add(self, new: np.ndarray) -> None:
+        """Place a bin, (1,) of STEP, behind the others; its predictions are still to be written."""
+        last = self.steps[-1] if len(self) else new[0]
+        self.steps = np.concatenate([self.steps, new])
+        self.fit, self.null = (
+            np.concatenate([part, np.zeros((1, part.shape[1]), FIT)]) for part in (self.fit, self.null)
         )
-        R0, p0, t0, w0 = (b.R, b.p, b.t, 0.0) if last is None else (last["R"], last["p"], last["t"], last["walked"])
-        u = R0.T @ (b.p - p0)
-        self.steps[-1] = (R0.T @ b.R, u, b.t - t0, b.z, b.M, b.R, b.p, b.t, w0 + math.sqrt(u @ u))
+        one, R0 = self.steps[-1], last["R"]
+        u = R0.T @ (one["p"] - last["p"])
+        one["dR"], one["u"], one["dt"] = R0.T @ one["R"], u, one["t"] - last["t"]
+        one["walked"] = last["walked"] + math.sqrt(u @ u)
 
-    def forget_first(self) -> None:
-        """Forget the oldest of all bins."""
-        self.steps, self.fit, self.null = self.steps[1:], self.fit[1:], self.null[1:]
-
-    def keep(self, rows: list[int]) -> None:
+    def keep(self, rows: Sequence[int]) -> None:
         """Keep some hypotheses."""
         self.fit = np.ascontiguousarray(self.fit[:, rows])
 

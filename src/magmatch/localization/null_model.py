@@ -30,7 +30,10 @@ UNRELATED = np.dtype(
 
 
 class UnrelatedFields:
-    """Unrelated fields, each filtered up to the last bin: those of the whole path, and the same begun anew."""
+    """Unrelated fields, each filtered up to the last bin: those of the whole path, and the same begun anew.
+
+    All that changes is `now`.
+    """
 
     def __init__(self, known: KnownMap, model: Model, config: LocalizerConfig) -> None:
         # A field turned by the errors of orientations varies, too.
@@ -48,25 +51,22 @@ class UnrelatedFields:
             one["x"][CONSTANT:BIAS:PER_AXIS] = mean
             alike = [one["variance"], one["variance"], one["misfit"]]
             np.fill_diagonal(one["P"], [x for v in variances for x in (*alike, v)] + 3 * [bias**2])
-        self._now = self._start.copy()
-
-    def __len__(self) -> int:
-        return len(self._now)
+        self.now = self._start.copy()
 
     def begin_anew(self, steps: np.ndarray, fit: np.ndarray) -> np.ndarray:
         """Let unrelated fields begin with the last of the bins of a fit, too: where a body is carried to."""
         n = len(self._start)
         fit = np.concatenate([fit[:, :n], fit[:, :n]], axis=1)
-        kept, self._now = self._now[:n], self._start.copy()
+        kept, self.now = self.now[:n], self._start.copy()
         anew = np.zeros((len(steps), n), FIT)
         self.follow(steps, anew)
         fit[len(fit) - len(steps) :, n:] = anew
-        self._now = np.concatenate([kept, self._now])
+        self.now = np.concatenate([kept, self.now])
         return fit
 
     def follow(self, steps: np.ndarray, fit: np.ndarray) -> None:
         """Take all through some bins, as `measurement.follow` does hypotheses."""
-        _follow(self._now, steps, self._model, fit)
+        _follow(self.now, steps, self._model, fit)
 
 
 def _constant_elsewhere(known: KnownMap, config: LocalizerConfig) -> tuple[Vector3, Vector3]:

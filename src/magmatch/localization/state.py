@@ -131,27 +131,9 @@ def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
     for a in range(3):
         c[a], c_slope[a] = m00 * c[a] + m01 * c_slope[a], m10 * c[a] + m11 * c_slope[a]
         e[a], e_slope[a] = f00 * e[a] + f01 * e_slope[a], f10 * e[a] + f11 * e_slope[a]
-    # P = F P F^T, rows then columns: a turn theta carries the step with it, theta x (f w).
-    for j in range(N):
-        tx, ty, tz, ds = P[0, j], P[1, j], P[2, j], P[SCALE, j]
-        P[3, j] += f * (ty * wz - tz * wy) + wx * ds
-        P[4, j] += f * (tz * wx - tx * wz) + wy * ds
-        P[5, j] += f * (tx * wy - ty * wx) + wz * ds
-        for a in range(3):
-            x, v = P[MISFIT + a, j], P[MISFIT_SLOPE + a, j]
-            P[MISFIT + a, j], P[MISFIT_SLOPE + a, j] = m00 * x + m01 * v, m10 * x + m11 * v
-            x, v = P[ERROR + a, j], P[ERROR_SLOPE + a, j]
-            P[ERROR + a, j], P[ERROR_SLOPE + a, j] = f00 * x + f01 * v, f10 * x + f11 * v
-    for i in range(N):
-        tx, ty, tz, ds = P[i, 0], P[i, 1], P[i, 2], P[i, SCALE]
-        P[i, 3] += f * (ty * wz - tz * wy) + wx * ds
-        P[i, 4] += f * (tz * wx - tx * wz) + wy * ds
-        P[i, 5] += f * (tx * wy - ty * wx) + wz * ds
-        for a in range(3):
-            x, v = P[i, MISFIT + a], P[i, MISFIT_SLOPE + a]
-            P[i, MISFIT + a], P[i, MISFIT_SLOPE + a] = m00 * x + m01 * v, m10 * x + m11 * v
-            x, v = P[i, ERROR + a], P[i, ERROR_SLOPE + a]
-            P[i, ERROR + a], P[i, ERROR_SLOPE + a] = f00 * x + f01 * v, f10 * x + f11 * v
+    # P = F P F^T: F P, then F (F P)^T in place of its transpose.
+    _times_F(P, f, wx, wy, wz, m00, m01, m10, m11, f00, f01, f10, f11)
+    _times_F(P.T, f, wx, wy, wz, m00, m01, m10, m11, f00, f01, f10, f11)
     # Of a stationary process as much comes back as the step forgets.
     g00, g01, g11 = 1 - f00 * f00 - f01 * f01, -f00 * f10 - f01 * f11, 1 - f10 * f10 - f11 * f11
     n00, n01, n11 = 1 - m00 * m00 - m01 * m01, -m00 * m10 - m01 * m11, 1 - m10 * m10 - m11 * m11
@@ -177,6 +159,21 @@ def predict(h, dR, u, dt, up, model):  # type: ignore[no-untyped-def]
         x, y, z = R[a, 0], R[a, 1], R[a, 2]
         for k in range(3):
             R[a, k] = x * dR[0, k] + y * dR[1, k] + z * dR[2, k]
+
+
+@compiled
+def _times_F(P, f, wx, wy, wz, m00, m01, m10, m11, f00, f01, f10, f11):  # type: ignore[no-untyped-def]
+    """F P, for the step w in the model's axes: a turn theta carries the step with it, theta x (f w)."""
+    for j in range(N):
+        tx, ty, tz, ds = P[0, j], P[1, j], P[2, j], P[SCALE, j]
+        P[3, j] += f * (ty * wz - tz * wy) + wx * ds
+        P[4, j] += f * (tz * wx - tx * wz) + wy * ds
+        P[5, j] += f * (tx * wy - ty * wx) + wz * ds
+        for a in range(3):
+            x, v = P[MISFIT + a, j], P[MISFIT_SLOPE + a, j]
+            P[MISFIT + a, j], P[MISFIT_SLOPE + a, j] = m00 * x + m01 * v, m10 * x + m11 * v
+            x, v = P[ERROR + a, j], P[ERROR_SLOPE + a, j]
+            P[ERROR + a, j], P[ERROR_SLOPE + a, j] = f00 * x + f01 * v, f10 * x + f11 * v
 
 
 @compiled

@@ -154,15 +154,10 @@ class Track:
         return [*diagnose(self.log), *chain.from_iterable(found)]
 
     def _segments(self) -> list[Segment]:
-        times = self.log.times
+        times, found = self.log.times, []
         assert times is not None
-        found = []
-
-        def kind(n: int) -> tuple[str, str | None]:
-            return self.estimates[n].phase, self.estimates[n].map
-
-        for _, rows in groupby(range(len(times)), key=kind):
-            part = list(rows)
-            e, t0, t1 = self.estimates[part[0]], float(times[part[0]]), float(times[part[-1]])
+        runs = groupby(range(len(times)), lambda n: (self.estimates[n].phase, self.estimates[n].map))
+        for rows in (list(run) for _, run in runs):
+            e, t0, t1 = self.estimates[rows[0]], float(times[rows[0]]), float(times[rows[-1]])
             found.append(Segment(t0, t1, e.status, e.reason, e.map, e.is_place_known))
         return found

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The probability of each hypothesis after a stretch of path, by the evidence and decision of a registration."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -9,8 +9,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.compiled import allocating, compiled
 from magmatch.estimation.posterior import Kind, log_odds
+from magmatch.localization.bins import STEP
 from magmatch.localization.known_map import KnownMap
-from magmatch.localization.measurement import STEP
+from magmatch.localization.measurement import LatestBins
 from magmatch.localization.state import BIAS, Model, predict
 from magmatch.typing import COVARIANCE, POSE, VECTOR, Covariance6, Matrix, Scalars, Vector3
 
@@ -55,16 +56,10 @@ class OutsidePenalty(NamedTuple):
     most: float = np.inf
 
 
-def evidence(
-    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, penalty: OutsidePenalty
-) -> tuple[Scalars, Scalars, Scalars]:
-    """Evidence of each hypothesis over unrelated fields (nats), its covariance's factor, and its misfit beyond that.
-
-    ``fit`` (n, k) and ``null`` (n, c) are FIT of hypotheses and of unrelated fields at the same steps.
-    """
-    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(
-        steps, np.ascontiguousarray(fit), null, penalty, *known.log_factors
-    )
+def evidence(bins: LatestBins, known: KnownMap, penalty: OutsidePenalty) -> tuple[Scalars, Scalars, Scalars]:
+    """Evidence of each hypothesis over unrelated fields (nats), its covariance's factor, its misfit beyond that."""
+    fit = np.ascontiguousarray(bins.fit)
+    found: tuple[Scalars, Scalars, Scalars] = _weigh_all(bins.steps, fit, bins.null, penalty, *known.log_factors)
     return found
 
 
@@ -100,13 +95,11 @@ def _weigh_all(steps, fit, null, penalty, log_factors, log_priors):  # type: ign
     return gained, factor, misfit
 
 
-def forget(
-    steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, penalty: OutsidePenalty, bank: np.ndarray
-) -> None:
+def forget(bins: LatestBins, known: KnownMap, penalty: OutsidePenalty, bank: np.ndarray) -> None:
     """Move what each hypothesis gained by the first bin to earlier evidence, up to the most unless it is free."""
-    gained, rest = (evidence(steps[k:], fit[k:], null[k:], known, penalty)[0] for k in (0, 1))
+    gained, rest = (evidence(some, known, penalty)[0] for some in (bins, bins[1:]))
     # A body that may leave the map and is outside forgets nothing, and nothing of that when it comes back.
-    is_free, is_outside = np.arange(len(bank)) < penalty.n_free, fit[-1]["is_known"] == 0
+    is_free, is_outside = np.arange(len(bank)) < penalty.n_free, bins.fit[-1]["is_known"] == 0
     limit = np.where(is_free, np.where(is_outside, np.inf, np.maximum(penalty.most, bank["earlier"])), penalty.most)
     kept = np.minimum(bank["earlier"] + gained - rest, limit)
     # Of one place under several drifts the likeliest is capped, and the others stay as much behind; not more than
@@ -134,15 +127,14 @@ def _average(chi2, n, log_factors, inverse, log_priors):  # type: ignore[no-unty
 
 
 def weigh(
-    bank: np.ndarray, steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, penalty: OutsidePenalty,
-    tolerance: tuple[float, float],
-) -> list[WeighedHypothesis]:  # fmt: skip
-    """Hypotheses that differ by more than a tolerance (m, rad), most evidence first; the arguments of `evidence`.
+    bank: np.ndarray, bins: LatestBins, known: KnownMap, penalty: OutsidePenalty, tolerance: tuple[float, float]
+) -> list[WeighedHypothesis]:
+    """Hypotheses that differ by more than a tolerance (m, rad), most evidence first.
 
     A pose under several drifts of the odometry is one answer, whose evidence is the sum over these: it includes their
     prior probabilities.
     """
-    gained, factor, misfit = evidence(steps, fit, null, known, penalty)
+    gained, factor, misfit = evidence(bins, known, penalty)
     gained += bank["earlier"]
     return [
         WeighedHypothesis(
@@ -172,15 +164,15 @@ def _distinct(bank: np.ndarray, gained: Scalars, tolerance: tuple[float, float])
     return kept
 
 
-def is_doubtful(steps: np.ndarray, fit: np.ndarray, null: np.ndarray, known: KnownMap, prior_odds: float) -> bool:
-    """Whether bins of a hypothesis (n, 1), of some odds before, look more like an unrelated field."""
-    gained, _, misfit = evidence(steps, fit, null, known, OutsidePenalty(0.0, 1))
+def is_doubtful(bins: LatestBins, known: KnownMap, prior_odds: float) -> bool:
+    """Whether the first hypothesis, of some odds before, explains bins worse than an unrelated field."""
+    gained, _, misfit = evidence(replace(bins, fit=bins.fit[:, :1]), known, OutsidePenalty(0.0, 1))
     return bool(log_odds(float(gained[0]), float(misfit[0]), "log") < -np.log(prior_odds))
 
 
-def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
-    """Bin from which on a hypothesis (n,) was worse than the best unrelated field, as the sums have it."""
-    unrelated = 0.5 * null["chi2"] + null["half_log_det"]
+def end_of_agreement(bins: LatestBins) -> int:
+    """Bin from which on the first hypothesis was worse than the best unrelated field, as the sums have it."""
+    fit, unrelated = bins.fit[:, 0], 0.5 * bins.null["chi2"] + bins.null["half_log_det"]
     best = unrelated[:, np.argmin(unrelated.sum(axis=0))]
     gained = (best - 0.5 * fit["chi2"] - fit["half_log_det"]) * (fit["is_known"] & fit["is_seen"])
     return int(np.argmax(np.concatenate([[0.0], np.cumsum(gained)])))
@@ -189,13 +181,9 @@ def end_of_agreement(fit: np.ndarray, null: np.ndarray) -> int:
 def covariance_of(one: np.ndarray, known: KnownMap, factor: float) -> Covariance6:
     """Give the covariance of xi in ``T Exp(xi)`` of a hypothesis (1,), body's axes, the map's own poses' included."""
     C = np.empty((6, 6))
-    _covariance(one, known.frame.bent, _factor(known, factor), C)
+    # A pose's factor is the root of that of the readings, as odometry's noise is not scaled with them.
+    _covariance(one, known.bent, float(np.sqrt(max(factor, 0.0 if known.noise.is_learned else 1.0))), C)
     return C
-
-
-def _factor(known: KnownMap, factor: float) -> float:
-    """Give a pose's factor from that of the readings: its root, as odometry's noise is not scaled with them."""
-    return float(np.sqrt(max(factor, 0.0 if known.noise.is_learned else 1.0)))
 
 
 @compiled
@@ -218,21 +206,21 @@ def stated(
 ) -> np.ndarray:
     """State a hypothesis (1,), once odometry has moved it on (changed) from the last bin, (1,) of STEP."""
     said, moved = np.zeros(1, STATED), np.zeros(1, STEP)
-    _state(one, last, moved, T_odom_body, known.frame, _factor(known, factor), model, said)
+    _state(one, last, moved, T_odom_body, known.up, known.T_map_model, model, said)
+    said["covariance"] = covariance_of(one, known, factor)
     return said
 
 
 @compiled
-def _state(bank, last, moved, T, frame, factor, model, said):  # type: ignore[no-untyped-def]
-    h, step, out, T_map_model = bank[0], last[0], said[0], frame.T_map_model
+def _state(bank, last, moved, T, up, T_map_model, model, said):  # type: ignore[no-untyped-def]
+    h, step, out = bank[0], last[0], said[0]
     dR, u = moved[0].dR, moved[0].u
     for a in range(3):
         for k in range(3):
             u[a] += step.R[k, a] * (T[k, 3] - step.p[k])
             for e in range(3):
                 dR[a, e] += step.R[k, a] * T[k, e]
-    predict(h, dR, u, 0.0, frame.up, model)
-    _covariance(bank, frame.bent, factor, out.covariance)
+    predict(h, dR, u, 0.0, up, model)
     out.T[3, 3] = 1.0
     for a in range(3):
         out.bias[a], out.bias_sd[a] = h.b[a], np.sqrt(h.P[BIAS + a, BIAS + a])
