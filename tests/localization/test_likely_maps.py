@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 import magmatch as mm
 from drifting import Place, drifting_walk
@@ -109,12 +110,11 @@ def test_maps_are_searched_in_turn_where_time_is_for_one(folder):
         turns.append(len(turns))
         return len(turns) == 1
 
-    rows = np.column_stack(
-        [log.times, log.positions, log.orientations.as_quat(), log.orientations.inv().apply(log.field)]
-    )
-    for row in rows:
+    R = log.orientations
+    poses, field = RigidTransform.from_components(log.positions, R), R.inv().apply(log.field)
+    for t, T, z in zip(log.times.tolist(), poses.as_matrix(), field, strict=True):
         turns.clear()
-        localizer.update_by_row(row, may_search=once)
+        localizer.update_by_matrix(t, T, z, may_search=once)
     assert localizer.estimate().map == "cellar.map"
 
 

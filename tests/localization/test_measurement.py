@@ -9,7 +9,7 @@ import pytest
 import magmatch as mm
 from magmatch.localization.bins import STEP
 from magmatch.localization.known_map import Ground
-from magmatch.localization.measurement import FIT, LatestBins, follow
+from magmatch.localization.measurement import FIT, follow
 from magmatch.localization.state import GAIN, MISFIT, SCALE, hypotheses, model_of
 
 SIGMA = 4e-6  # T: said of the map's field
@@ -63,17 +63,3 @@ def test_a_path_is_as_likely_as_under_the_noise_that_was_learned(uniform, is_smo
 def test_what_a_map_does_not_know_varies_no_more_than_its_field(known):
     sd = known.ground.values[..., 3]
     assert known.noise.map_factor * sd.max() < known.field_sd
-
-
-def test_hypotheses_that_join_have_seen_the_latest_bins_alone():
-    bins, fit = LatestBins.of(2), np.zeros((2, 1), FIT)
-    for k in range(5):
-        new = np.zeros(1, STEP)
-        new["t"], new["R"], new["p"], new["M"] = k, np.eye(3), [0.3 * k, 0, 0], np.eye(3)
-        bins.add(new)
-    fit["is_seen"] = 1
-    bins.join(fit)
-    bins = bins[1:]
-    assert bins.fit["is_seen"][:, 0].tolist() == [0, 0, 1, 1]
-    assert bins.null.shape == (4, 2)
-    np.testing.assert_allclose(bins.steps["walked"], [0.3, 0.6, 0.9, 1.2])

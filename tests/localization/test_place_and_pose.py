@@ -28,12 +28,12 @@ def strict(place, followed):
 
 def test_a_known_place_is_said_to_be_known_though_no_pose_is_stated(strict):
     last = strict.estimates[-1]
-    assert last.status is LocalizerStatus.SEARCHING
-    assert last.is_place_known
-    assert last.phase == UNCERTAIN
+    assert (last.status, last.is_place_known, last.phase) == ("searching", True, UNCERTAIN)
     assert last.reason.startswith("the place is known (probability ")
     assert "but the pose is too uncertain: sd 0." in last.reason
     assert "at most 0.02 m, 30 degrees are asked for (--max-sd)" in last.reason
+    assert strict.poses.translation.shape == (0, 3)
+    assert "a pose for 0 of" in repr(strict)
 
 
 def test_a_place_is_known_only_where_its_probability_suffices_and_has_done_so_for_long_enough(strict, followed):
@@ -73,10 +73,3 @@ def test_a_log_that_ends_at_a_known_place_is_not_said_to_be_lost(followed):
     lost = replace(followed.track, estimates=[*estimates[:-1], replace(estimates[-1], is_place_known=False)]).result()
     assert "Lost in place" in tell(lost)
     assert "left the map" in " ".join(steps_after(lost))
-
-
-def test_a_track_that_was_never_localised_has_no_poses(strict):
-    assert len(strict.poses) == 0
-    assert strict.poses.translation.shape == (0, 3)
-    assert not strict.is_stated.any()
-    assert "a pose for 0 of" in repr(strict)

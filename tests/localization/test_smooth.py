@@ -33,16 +33,13 @@ def test_hindsight_knows_the_beginning_too_and_errs_less(place, followed):
     assert rms[0] < rms[1]
 
 
-def test_two_estimates_meet_by_their_weights_and_claim_no_more_than_the_better():
+def test_two_estimates_meet_by_their_weights_and_state_nothing_where_they_contradict_each_other():
     (met,) = join([estimate(0.0, 0.1)], [estimate(0.3, 0.2)])
-    # Weights 1 / 0.01 and 1 / 0.04.
+    # Weights 1 / 0.01 and 1 / 0.04; no more is claimed than by the better.
     np.testing.assert_allclose(met.T_map_body.translation, [0.06, 0.0, 0.0], atol=1e-9)
     assert met.covariance[3, 3] >= 0.01
-
-
-def test_two_estimates_that_contradict_each_other_state_nothing():
-    met = join([estimate(0.0, 0.1)] * 2, [estimate(3.0, 0.1), estimate(0.0, 0.1, "cellar")])
-    assert not any(one.is_stated for one in met)
+    apart = join([estimate(0.0, 0.1)] * 2, [estimate(3.0, 0.1), estimate(0.0, 0.1, "cellar")])
+    assert not any(one.is_stated for one in apart)
 
 
 LOST, UNCERTAIN = (PoseEstimate(LocalizerStatus.LOST, "", is_place_known=known) for known in (False, True))
@@ -63,14 +60,10 @@ def test_a_stretch_that_what_follows_contradicts_stands_only_as_far_as_the_other
     assert standing(at(1, 2, 3, 4, 5), at()) == []
     assert standing(at(1, 2, 3, 4, 5), at(2, 3)) == [1, 2, 3]
     assert standing(at(1, 2, 3, 4, 5), at(2, 3, x=2.0)) == []
-
-
-def test_of_a_stretch_that_stood_before_it_was_contradicted_the_earlier_part_stands():
+    # Or its earlier part, where it had stood before.
     assert standing(at(*range(9)), at()) == [0, 1, 2, 3, 4, 5]
     assert standing(at(*range(9)), at(*range(9), x=3.0)) == []
-
-
-def test_a_pose_that_became_too_uncertain_contradicts_nothing():
+    # A pose that became too uncertain contradicts nothing.
     assert standing(at(1, 2, 3, 4, 5, otherwise=UNCERTAIN), at()) == [1, 2, 3, 4, 5]
 
 
@@ -81,12 +74,11 @@ def test_a_fix_at_the_very_end_has_not_been_put_to_the_test():
 
 
 def test_path_outside_the_map_puts_a_fix_to_no_test():
-    outside = [
-        replace(e, status=LocalizerStatus.DEAD_RECKONING) if n > 2 else e for n, e in enumerate(at(*range(10)))
-    ]
+    inside = at(*range(10))
+    outside = inside[:3] + [replace(e, status=LocalizerStatus.DEAD_RECKONING) for e in inside[3:]]
     assert standing(outside, at()) == []
     assert standing(outside, at(1)) == [0, 1]
-    assert standing(at(*range(10)), at()) == list(range(10))
+    assert standing(inside, at()) == list(range(10))
 
 
 def test_of_two_stretches_that_disagree_neither_stands():

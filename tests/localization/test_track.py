@@ -10,19 +10,14 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import magmatch as mm
 
 
-def test_the_stated_poses_are_written_at_their_times(followed, tmp_path):
-    track = followed.track
-    track.save(tmp_path / "where.tum")
-    read = mm.Trajectory.load(tmp_path / "where.tum")
-    np.testing.assert_array_equal(read.times, followed.log.times[track.is_stated])
-    np.testing.assert_array_equal(read.positions, track.poses.translation)
-
-
-def test_poses_between_the_samples_are_written_at_their_own_times(followed, tmp_path):
+def test_poses_are_written_at_their_times_those_between_the_samples_too(followed, tmp_path):
     log, track = followed.log, followed.track
     middle = (log.times[:-1] + log.times[1:]) / 2
+    track.save(tmp_path / "own.tum")
+    np.testing.assert_array_equal(mm.Trajectory.load(tmp_path / "own.tum").positions, track.poses.translation)
     track.save(tmp_path / "where.tum", mm.Trajectory(log.times, log.positions, log.orientations))
     whole = mm.Trajectory.load(tmp_path / "where.tum")
+    np.testing.assert_array_equal(whole.times, log.times[track.is_stated])
     np.testing.assert_allclose(whole.positions, track.poses.translation, atol=1e-12)
     positions, R = mm.Trajectory(log.times, log.positions, log.orientations).interpolate(middle)
     track.save(tmp_path / "between.tum", mm.Trajectory(middle, positions, R))

@@ -124,11 +124,3 @@ def test_a_pose_is_known_no_better_than_the_maps_own_positions_are_stated_to_be(
         exact = hypotheses(1)
         exact["P"] = 0.0
         np.testing.assert_allclose(covariance_of(exact, stated, 1.0)[3:, 3:], least**2 * np.eye(3), atol=1e-12)
-
-
-def test_evidence_counts_by_the_share_of_the_fields_variance_that_a_map_explains(known):
-    poor = replace(known, noise=replace(known.noise, misfit_sd=0.8 * known.field_sd, constant_sd=0.0))
-    assert poor.dispersion**-2 == pytest.approx(1 - 0.8**2)
-    assert known.dispersion < 1.05
-    useless = replace(known, noise=replace(known.noise, misfit_sd=2 * known.field_sd))
-    assert useless.dispersion == pytest.approx(np.sqrt(20))

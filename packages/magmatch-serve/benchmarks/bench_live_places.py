@@ -113,7 +113,8 @@ def alone(known: KnownPlaces, samples: list[bytes], truth: np.ndarray) -> "Outco
     """Follow a walk in this process, each sample waiting for what it begins."""
     one, said, begin = Localizer(known), [], time.process_time()
     for n, sample in enumerate(samples):
-        one.update_by_row(read_samples(sample, 1)[0])
+        (t,), (T,), (field,) = read_samples(sample, 1)
+        one.update_by_matrix(float(t), T, field)
         said.append(pose_document(n, STEP * n, one.estimate()))
     outcome = Outcome.of(said, truth, time.process_time() - begin)
     print(outcome, flush=True)

@@ -4,7 +4,6 @@
 Whatever follows from the maps and the settings is computed anew.
 """
 
-from pathlib import Path
 from typing import Any
 
 from magmatch._version import __version__
@@ -22,6 +21,7 @@ from magmatch.localization.weigh_hypotheses import WeighedHypothesis
 
 # What a state may consist of, and changes with.
 SCHEMA = "magmatch.localizer/10"
+STATE = "state"  # what errors call it
 KINDS = (Answer, Binning, Posterior, LastSample, WeighedHypothesis, LatestBins)
 # Of a belief, what follows from the map and the settings.
 MADE_ANEW = {"_known", "_config", "_model", "unrelated"}
@@ -39,26 +39,24 @@ def state_of(localizer: Localizer) -> dict[str, Any]:
     }
 
 
-def restored(
-    known: KnownPlaces, config: LocalizerConfig, state: dict[str, Any], path: str | Path = "state"
-) -> Localizer:
+def restored(known: KnownPlaces, config: LocalizerConfig, state: dict[str, Any]) -> Localizer:
     """Make a localizer that continues from another's state, which becomes its own.
 
-    Raises `DataFormatError` where that is of another version or other settings, or of maps that are no longer there;
-    ``path`` names it. Raises `NotReadyError` where the loader of `known` has yet to make a map ready.
+    Raises `DataFormatError` where that is of another version or other settings, or of maps that are no longer there,
+    and `NotReadyError` where the loader of `known` has yet to make a map ready.
     """
     if state["written_by"] != [SCHEMA, __version__]:
-        raise DataFormatError(path, f"is of version {state['written_by']}, expected {[SCHEMA, __version__]}")
+        raise DataFormatError(STATE, f"is of version {state['written_by']}, expected {[SCHEMA, __version__]}")
     localizer = Localizer(known, config)
     if state["config"] != _config_of(localizer):
-        raise DataFormatError(path, "is of other settings")
+        raise DataFormatError(STATE, "is of other settings")
     localizer._samples, localizer._binning = state["samples"], state["binning"]
     localizer._is_refuted = state["is_refuted"]
     kept_maps = [likely for maps in state["maps"] for likely in maps["likely"]]
     entries = {None if entry is None else entry.name: entry for entry in known.entries}
     for name, fingerprint, _ in kept_maps:
         if name not in entries or known.fingerprint(entries[name]) != fingerprint:
-            raise DataFormatError(path, f"is of another version of the map {name or ''}".rstrip())
+            raise DataFormatError(STATE, f"is of another version of the map {name or ''}".rstrip())
     soon = {name: known.soon(entries[name]) for name, *_ in kept_maps}
     ready = {name: one for name, one in soon.items() if one is not None}
     if len(ready) < len(soon):

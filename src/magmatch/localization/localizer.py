@@ -3,7 +3,6 @@
 
 from collections.abc import Callable
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.arguments import expect_kind, expect_transform
@@ -15,7 +14,7 @@ from magmatch.localization.known_places import KnownPlaces, Place
 from magmatch.localization.likely_maps import LikelyMaps
 from magmatch.localization.samples import LastSample
 from magmatch.threads import one_blas_thread
-from magmatch.typing import Vector3
+from magmatch.typing import Matrix, Vector3
 
 FOUND_ELSEWHERE = "the path since the body was thought to have left the map is in the map elsewhere"
 
@@ -61,16 +60,16 @@ class Localizer:
             An invalid sample: NaN, a time before the last one, another unit, a jump. The state is unchanged.
         """
         expect_transform(T_odom_body, "T_odom_body")
-        self._follow(self._samples.take(t, T_odom_body.as_matrix(), field))
+        self.update_by_matrix(t, T_odom_body.as_matrix(), field)
 
-    def update_by_row(self, row: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
-        """Take a sample as a row of `samples.unit_rows`, without creating SciPy objects.
+    def update_by_matrix(
+        self, t: float, T_odom_body: Matrix, field: Vector3, *, may_search: Callable[[], bool] = lambda: True
+    ) -> None:
+        """Take a sample whose pose is a rigid (4, 4) matrix, without creating SciPy objects.
 
-        Asked before each search; one that is not allowed now is due again one bin later.
+        ``may_search`` is asked before each search; one that is not allowed now is due again one bin later.
         """
-        self._follow(self._samples.take_row(row), may_search=may_search)
-
-    def _follow(self, sample: np.ndarray, *, may_search: Callable[[], bool] = lambda: True) -> None:
+        sample = self._samples.take(t, T_odom_body, field)
         self._is_refuted = False
         new = self._binning.add(sample)
         if new is None:

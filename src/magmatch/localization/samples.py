@@ -52,20 +52,12 @@ class LastSample:
         """
         time = t if isinstance(t, float) else numbers_of(t, "t", "(), in s")
         z = numbers_of(b, "field", "(3,), in T")
-        if np.ndim(time):
-            self._refuse(BAD_TIME, t, b)
-        if z.shape != (3,):
-            self._refuse(BAD_FIELD, t, b)
-        self.last["next_t"], self.last["next_T"], self.last["next_z"] = time, T, z
-        if fault := _take(self.last):
+        fault = BAD_TIME if np.ndim(time) else BAD_FIELD if z.shape != (3,) else FINE
+        if not fault:
+            self.last["next_t"], self.last["next_T"], self.last["next_z"] = time, T, z
+            fault = _take(self.last)
+        if fault:
             self._refuse(fault, t, b)
-        return self.last
-
-    def take_row(self, row: np.ndarray) -> np.ndarray:
-        """Do the same with a row of numbers as `unit_rows` leaves it, (11,)."""
-        _read(self.last, row)
-        if fault := _take(self.last):
-            self._refuse(fault, float(row[0]), row[8:])
         return self.last
 
     def _refuse(self, fault: int, t: float, b: Vector3) -> NoReturn:
@@ -93,39 +85,6 @@ class LastSample:
             msg = f"T_odom_body: expected a step, got a jump of {step}; it counts as none"
             raise OdometryJump(msg)
         raise ValueError(msg)
-
-
-@compiled
-def unit_rows(rows, most_off):  # type: ignore[no-untyped-def]
-    """Bring the quaternions of rows (n, 11) of time, position, quaternion x, y, z, w and field to unit length.
-
-    Gives how many rows are fine: up to one that is not finite, or whose quaternion's length is off by more than told.
-    """
-    for n in range(len(rows)):
-        row = rows[n]
-        norm = np.sqrt(row[4] ** 2 + row[5] ** 2 + row[6] ** 2 + row[7] ** 2)
-        for k in range(11):
-            if not np.isfinite(row[k]):
-                return n
-        if abs(norm - 1) > most_off:
-            return n
-        for k in range(4, 8):
-            row[k] /= norm
-    return len(rows)
-
-
-@compiled
-def _read(last, row):  # type: ignore[no-untyped-def]
-    """A row of numbers as the next sample."""
-    one = last[0]
-    T, x, y, z, w = one.next_T, row[4], row[5], row[6], row[7]
-    one.next_t = row[0]
-    T[0, 0], T[0, 1], T[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
-    T[1, 0], T[1, 1], T[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-    T[2, 0], T[2, 1], T[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    for a in range(3):
-        T[a, 3], one.next_z[a], T[3, a] = row[1 + a], row[8 + a], 0.0
-    T[3, 3] = 1.0
 
 
 @compiled

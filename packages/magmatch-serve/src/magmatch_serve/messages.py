@@ -8,12 +8,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from magmatch.compiled import compiled
 from magmatch.data.document import adapter_of
 from magmatch.data.tables.quaternions import MAX_NORM_ERROR
 from magmatch.errors import first_fault
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
-from magmatch.localization.samples import unit_rows
 from magmatch.number_text import told
+from magmatch.typing import Scalars, Vectors
 from magmatch_serve.refusals import RefusedError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -69,18 +70,13 @@ def read_hello(text: str) -> Hello:
     return found
 
 
-def read_samples(message: str | bytes, most: int) -> np.ndarray:
-    """Read samples from a message of either form.
-
-    Returns
-    -------
-    (n, 11) array
-        Time, position, unit quaternion x, y, z, w and field of each.
-    """
+def read_samples(message: str | bytes, most: int) -> tuple[Scalars, np.ndarray, Vectors]:
+    """Read samples from a message of either form: times (n,), poses (n, 4, 4) and fields (n, 3)."""
     rows = _binary(message) if isinstance(message, bytes) else _json(message)
     if len(rows) > most:
         raise RefusedError(413, f"expected at most {most} samples in a message, found {len(rows)}")
-    if (n := unit_rows(rows, MAX_NORM_ERROR)) < len(rows):
+    poses = np.zeros((len(rows), 4, 4))
+    if (n := _poses_of(rows, MAX_NORM_ERROR, poses)) < len(rows):
         if not (is_finite := np.isfinite(rows[n])).all():
             name = ("t", *("position",) * 3, *("orientation",) * 4, *("field",) * 3)[int(np.argmin(is_finite))]
             words = f"{name}: expected finite numbers, found NaN or infinity; leave such samples out"
@@ -88,7 +84,29 @@ def read_samples(message: str | bytes, most: int) -> np.ndarray:
             found = float(np.linalg.norm(rows[n, 4:8]))
             words = f"orientation: expected a unit quaternion x, y, z, w, found one of norm {found:.3g}"
         raise RefusedError(422, words)
-    return rows
+    return rows[:, 0], poses, rows[:, 8:]
+
+
+@compiled
+def _poses_of(rows, most_off, poses):  # type: ignore[no-untyped-def]
+    """Write the poses of rows (n, 11) of time, position, quaternion x, y, z, w and field.
+
+    Gives how many rows are fine: up to one that is not finite, or whose quaternion's length is off by more than told.
+    """
+    for n in range(len(rows)):
+        row, T = rows[n], poses[n]
+        norm = np.sqrt(row[4] ** 2 + row[5] ** 2 + row[6] ** 2 + row[7] ** 2)
+        for k in range(11):
+            if not np.isfinite(row[k]):
+                return n
+        if abs(norm - 1) > most_off:
+            return n
+        x, y, z, w = row[4] / norm, row[5] / norm, row[6] / norm, row[7] / norm
+        T[0, 0], T[0, 1], T[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+        T[1, 0], T[1, 1], T[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+        T[2, 0], T[2, 1], T[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+        T[0, 3], T[1, 3], T[2, 3], T[3, 3] = row[1], row[2], row[3], 1.0
+    return len(rows)
 
 
 def _binary(message: bytes) -> np.ndarray:

@@ -27,37 +27,21 @@ class Priors(NamedTuple):
     length: float
 
 
-class Workspace(NamedTuple):
-    """Arrays that the loops work on: normal equations; of one bin what was looked up, slopes, vectors."""
-
-    A: np.ndarray
-    v: np.ndarray
-    T: np.ndarray
-    out: np.ndarray
-    J: np.ndarray
-    turned: np.ndarray
-    place: np.ndarray
-    reading: np.ndarray
-    e: np.ndarray
-
-
 @allocating
 def refine_all(x, stretch, ground, schedule, priors, cost):  # type: ignore[no-untyped-def]
     """Gauss-Newton on rows of x: place (3), heading, scale, bias (3); their costs, UNKNOWN outside the map."""
-    room = Workspace(
-        np.zeros((8, 8)), np.zeros(8), np.zeros((3, 3)), np.zeros(13), np.zeros((3, 8)),
-        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3),
-    )  # fmt: skip
-    v = room.v
+    A, v, T = np.zeros((8, 8)), np.zeros(8), np.zeros((3, 3))
+    # Of one bin: what was looked up, slopes, vectors.
+    room = np.zeros(13), np.zeros((3, 8)), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     for k in range(len(x)):
         h0 = ground.up[0] * x[k, 0] + ground.up[1] * x[k, 1] + ground.up[2] * x[k, 2]
         for step in range(len(schedule) + 1):
             sd2 = schedule[min(step, len(schedule) - 1)] ** 2
-            total, n_known = _linearise(x[k], stretch, ground, h0, sd2, priors, room)
+            total, n_known = _linearise(x[k], stretch, ground, h0, sd2, priors, A, v, T, room)
             cost[k] = total if n_known > 0 else UNKNOWN
             if step == len(schedule):
                 break
-            _solve(room.A, v)
+            _solve(A, v)
             longest = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2) / (0.3 * priors.length)
             shorten = 1 / max(1.0, longest, abs(v[3]) / 0.15)
             for i in range(8):
@@ -65,14 +49,14 @@ def refine_all(x, stretch, ground, schedule, priors, cost):  # type: ignore[no-u
 
 
 @compiled
-def _linearise(x, stretch, ground, h0, sd2, priors, room):  # type: ignore[no-untyped-def]
+def _linearise(x, stretch, ground, h0, sd2, priors, A, v, T, room):  # type: ignore[no-untyped-def]
     """Normal equations of one start; its cost, and the number of bins that the map knows."""
-    room.A[:], room.v[:] = 0.0, 0.0
-    _turn_about(ground.up, np.cos(x[3]), np.sin(x[3]), room.T)
-    total = _add_priors(x, ground.up, h0, priors, room.A, room.v)
+    A[:], v[:] = 0.0, 0.0
+    _turn_about(ground.up, np.cos(x[3]), np.sin(x[3]), T)
+    total = _add_priors(x, ground.up, h0, priors, A, v)
     n_known = 0
     for m in range(len(stretch)):
-        added = _add_bin(x, stretch[m], ground, sd2, room)
+        added = _add_bin(x, stretch[m], ground, sd2, A, v, T, room)
         total += added
         n_known += added != OUTSIDE
     return total, n_known
@@ -99,8 +83,8 @@ def _add_priors(x, up, h0, priors, A, v):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _add_bin(x, one, ground, sd2, room):  # type: ignore[no-untyped-def]
-    A, v, T, out, J, turned, place, reading, e = room
+def _add_bin(x, one, ground, sd2, A, v, T, room):  # type: ignore[no-untyped-def]
+    out, J, turned, place, reading, e = room
     q, f, R, up, stretch = one.q, one.f, one.R, ground.up, 1 + x[4]
     for a in range(3):
         turned[a] = T[a, 0] * q[0] + T[a, 1] * q[1] + T[a, 2] * q[2]

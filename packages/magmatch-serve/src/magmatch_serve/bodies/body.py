@@ -58,15 +58,15 @@ class Body:
 
     def take(self, message: str | bytes, most: int, *, may_search: Callable[[], bool] = lambda: True) -> str | bytes:
         """Take the samples of a message; gives the answer."""
-        rows = read_samples(message, most)
+        times, poses, field = read_samples(message, most)
         localizer = self.localizer = self.localizer or Localizer(self.known, self.config)
-        for k, row in enumerate(rows):
+        for k, t in enumerate(times.tolist()):
             try:
-                localizer.update_by_row(row, may_search=may_search)
+                localizer.update_by_matrix(t, poses[k], field[k], may_search=may_search)
             except ValueError as error:
-                place = f"sample {k}: " if len(rows) > 1 else ""
+                place = f"sample {k}: " if len(times) > 1 else ""
                 raise RefusedError(422, place + str(error)) from None
-            self.n, self.t, self.is_kept = self.n + 1, float(row[0]), False
+            self.n, self.t, self.is_kept = self.n + 1, t, False
         self.now = localizer.estimate()
         self._remember()
         return write_pose(self.n, self.t or 0.0, self.now, binary=self.is_binary)
