@@ -9,7 +9,6 @@ import socket
 import zipfile
 from contextlib import ExitStack
 
-import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -36,34 +35,23 @@ GET, POST = "GET", "POST"
 GZIP = {"Content-Encoding": "gzip"}
 REQUESTS = {
     "no such path": ("/nothing", None, {}, GET, 404),
-    "a path of files": ("/../../etc/passwd", None, {}, GET, 404),
     "no such map": ("/maps/other.map", None, {}, GET, 404),
     "a map by its path": ("/maps/..%2f..%2fetc%2fpasswd", None, {}, GET, 404),
-    "a map with a NUL": ("/maps/hall%00.map", None, {}, GET, 404),
     "a map of bad UTF-8": ("/maps/%ff%fe", None, {}, GET, 404),
-    "a very long name": ("/maps/" + "a" * 5000, None, {}, GET, 404),
     "GET for POST": ("/localize", None, {}, GET, 405),
     "POST for GET": ("/maps", b"x", {}, POST, 405),
-    "DELETE": ("/maps/hall.map", None, {}, "DELETE", 405),
     "live without a WebSocket": ("/live", None, {}, GET, 404),
     "another page's origin": ("/maps", None, {"Origin": "https://evil.example"}, GET, 403),
-    "origin of another port": ("/localize", b"x", {"Origin": "http://127.0.0.1:1"}, POST, 403),
     "another host": ("/maps", None, {"Host": "evil.example"}, GET, 421),
     "a host that is none": ("/maps", None, {"Host": "[::"}, GET, 421),
     "no body": ("/localize", b"", {}, POST, 400),
     "unknown word": ("/localize?colour=red", table(9), {}, POST, 422),
     "a word twice": ("/localize?field_unit=T&field_unit=uT", table(9), {}, POST, 422),
     "a path of ours as trajectory": ("/localize?trajectory=/etc/passwd", table(9), {}, POST, 422),
-    "a word of the other path": ("/register?live=1", table(9), {}, POST, 422),
     "unknown unit": ("/localize?field_unit=pound", table(9), {}, POST, 422),
-    "a switch that is none": ("/localize?live=perhaps", table(9), {}, POST, 422),
     "planar without gravity": ("/localize?planar=1&no_gravity=1", table(9), {}, POST, 422),
     "a seed below 0": ("/register?seed=-1", table(9), {}, POST, 422),
-    "pose_sd that is infinite": ("/register?pose_sd=-1", table(9), {}, POST, 422),
-    "columns that are none": ("/localize?columns=a", table(9), {}, POST, 422),
     "text": ("/localize", b"hello, world\n" * 9, {}, POST, 422),
-    "zeros": ("/localize", bytes(999), {}, POST, 422),
-    "a picture": ("/localize", b"\x89PNG\r\n\x1a\n" + bytes(99), {}, POST, 422),
     "an empty zip": ("/localize", b"PK\x05\x06" + bytes(18), {}, POST, 422),
     "a zip bomb": ("/localize", zipped(30_000_000), {}, POST, 413),
     "half a gzip": ("/localize", gzip.compress(table(99))[:40], {}, POST, 422),
@@ -122,15 +110,7 @@ def raw(door, path, length):
     return int(head.split()[1]), body
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        b"nonsense\r\n\r\n",
-        b"GET /maps HTTP/1.1\r\nHost: 127.0.0.1\r\nX: " + b"a" * 99_999,
-        b"POST /localize HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: -5\r\n\r\n",
-        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03" + bytes(40) + b"\r\n\r\n",
-    ],
-)
+@pytest.mark.parametrize("words", [b"nonsense\r\n\r\n", b"GET /maps HTTP/1.1\r\nX: " + b"a" * 99_999])
 def test_what_is_not_http_is_refused(door, words):
     host, port = door.url.removeprefix("http://").split(":")
     with socket.create_connection((host, int(port)), timeout=30) as wire:
@@ -139,23 +119,18 @@ def test_what_is_not_http_is_refused(door, words):
     assert "Invalid" not in door.words()
 
 
-@pytest.mark.parametrize("path", ["/", "/maps", "/live/more", "/nothing"])
-def test_a_websocket_of_another_path_is_told_so(door, path):
+def test_a_websocket_of_another_path_is_told_so(door):
     with pytest.raises(InvalidStatus) as refused:
-        connect(door.live.replace("/live", path), proxy=None).close()
+        connect(door.live.replace("/live", "/live/more"), proxy=None).close()
     assert refused.value.response.status_code == 404
     assert is_a_sentence_of_its_own(json.loads(refused.value.response.body)["message"])
 
 
 HELLOS = {
     "not JSON": ("hello", 4400),
-    "binary": (b"hello", 4400),
-    "another type": ('{"type": "goodbye"}', 4422),
     "an unknown word": ('{"type": "hello", "map": "/etc/passwd"}', 4422),
     "a short key": ('{"type": "hello", "key": "a"}', 4422),
-    "a path as key": (json.dumps({"type": "hello", "key": "../" * 14 + "a"}), 4422),
     "a long name": (json.dumps({"type": "hello", "name": "a" * 41}), 4422),
-    "deeply nested": ("[" * 5000, 4400),
 }
 
 
@@ -169,28 +144,15 @@ def test_a_bad_hello_closes_with_its_status(door, name):
     assert is_a_sentence_of_its_own(closed.value.rcvd.reason)
 
 
-def changed(**keys):
-    def make(row):
-        return json.dumps(row | keys)
-
-    return make
-
-
 FRAMES = {
     "not JSON": (lambda _: "sample", 400),
     "NaN": (lambda row: json.dumps(row | {"t": float("nan")}), 422),
-    "infinity": (lambda row: json.dumps(row | {"field": [float("inf"), 0, 0]}), 422),
     "a field missing": (lambda row: json.dumps({"t": row["t"]}), 422),
-    "a word too many": (changed(name="x"), 422),
-    "words for numbers": (changed(position=["a", "b", "c"]), 422),
-    "a zero quaternion": (changed(orientation=[0, 0, 0, 0]), 422),
-    "microtesla": (changed(field=[20.0, 0.0, 40.0]), 422),
+    "microtesla": (lambda row: json.dumps(row | {"field": [20.0, 0.0, 40.0]}), 422),
     "no samples": (lambda _: '{"samples": []}', 422),
     "too many samples": (lambda row: json.dumps({"samples": [row] * 51}), 413),
     "half a binary sample": (lambda row: packed(row)[:-3], 400),
     "nothing": (lambda _: b"", 400),
-    "a binary NaN": (lambda row: packed(row | {"field": [np.nan, 0, 0]}), 422),
-    "too many binary samples": (lambda row: packed(row) * 51, 413),
 }
 
 

@@ -12,7 +12,6 @@ from magmatch_serve.catalogue import look_at
 from magmatch_serve.config import ServeConfig
 from magmatch_serve.logs.bounds import bounded
 from magmatch_serve.logs.work import WhereOfLog, work_on_log
-from serving import serving
 
 LARGE = 240 << 20
 
@@ -83,16 +82,3 @@ def test_what_takes_too_much_memory_is_a_memory_error():
     with pytest.raises(MemoryError), bounded(100 << 20, 1 << 20, 60):
         bytes(200 << 20)
     assert len(bytes(200 << 20)) == 200 << 20
-
-
-@pytest.mark.slow
-def test_after_bombs_the_service_answers_as_before(hall, tmp_path):
-    mcap_bomb(tmp_path / "bomb")
-    log = tmp_path / "log.csv"
-    hall.walk(3, laps=0.25)[0].save(log)
-    (tmp_path / "limits.yaml").write_text("max_reading: 120000000\nlog_workers: 1\n")
-    with serving(hall.map, "--config", tmp_path / "limits.yaml", "--states", tmp_path / "states") as door:
-        for body in ((tmp_path / "bomb").read_bytes(), b"MATLAB 5.0 MAT-file".ljust(128, b"\1") * 9):
-            status, _, said = door.ask("/localize", body, method="POST")
-            assert status in {413, 422, 503}, said
-        assert door.ask("/localize", log.read_bytes(), method="POST")[0] == 200

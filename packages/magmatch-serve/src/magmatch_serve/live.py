@@ -14,7 +14,7 @@ from magmatch_serve.config import ServeConfig
 from magmatch_serve.keys import id_of, is_key, new_key
 from magmatch_serve.messages import SAMPLE, Hello, read_hello
 from magmatch_serve.metrics import Metrics
-from magmatch_serve.refusals import CLOSE_WITH, RefusedError
+from magmatch_serve.refusals import CLOSE_WITH, RefusedError, or_raised
 
 PROTOCOL = "magmatch.1"
 ASK_AGAIN = 0.05  # seconds until a client's maps may be ready
@@ -32,11 +32,12 @@ class Live:
         self._socket, self._config, self._metrics = socket, config, metrics
         self._samples = Allowance(config.max_rate, 2 * config.max_rate)
         self._mistakes = Allowance(1.0, config.max_mistakes)
-        self._outbox: deque[str | bytes | RefusedError] = deque()
+        self._outbox: asyncio.Queue[str | bytes | RefusedError] = asyncio.Queue()
         self._came: deque[float] = deque()
-        self._something, self._room = asyncio.Event(), asyncio.Event()
-        self._room.set()
-        self._is_over = self._is_replaced = False
+        self._room = asyncio.Semaphore(config.max_under_way)
+        # Why it is sent away.
+        self._end: asyncio.Future[RefusedError] = asyncio.get_running_loop().create_future()
+        self._is_replaced = False
         self.client, self.key = "", ""
 
     async def hello(self) -> Hello:
@@ -62,19 +63,18 @@ class Live:
         introduced = ("open", self.client, said.name, said.answers == "binary", said.anew)
         while (opened := await tracker.asked(*introduced)) is None:
             await asyncio.sleep(ASK_AGAIN)
-        welcome: dict[str, Any] = {
-            "type": "welcome", "client": self.client, "key": self.key, "resumed": opened.is_resumed,
-            "n": opened.n, "t": opened.t,
-        }  # fmt: skip
-        await self._socket.send_json(welcome)
+        await self._socket.send_json({"type": "welcome", "client": self.client, "key": self.key, **opened})
         tracker.on_death.add(self._tracker_died)
-        tasks = [asyncio.create_task(one) for one in (self._write(), self._read(tracker))]
+        tasks: list[asyncio.Future[Any]] = [
+            asyncio.create_task(self._write()),
+            asyncio.create_task(self._read(tracker)),
+        ]
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            done, _ = await asyncio.wait([*tasks, self._end], return_when=asyncio.FIRST_COMPLETED)
             for one in done:
-                one.result()
+                or_raised(one.result())
         finally:
-            self._is_over = True
+            self._end.cancel()
             tracker.on_death.discard(self._tracker_died)
             for task in tasks:
                 task.cancel()
@@ -85,20 +85,19 @@ class Live:
     def replace(self) -> None:
         """Make room for another connection with the same key."""
         self._is_replaced = True
-        self._end(RefusedError(409, "the same key came with another connection, which goes on instead"))
+        self._send_away(RefusedError(409, "the same key came with another connection, which goes on instead"))
 
     def _tracker_died(self) -> None:
-        self._end(RefusedError(503, "the process that follows this client ended; come again with its key"))
+        self._send_away(RefusedError(503, "the process that follows this client ended; come again with its key"))
 
-    def _end(self, why: RefusedError) -> None:
-        self._outbox.clear()
-        self._outbox.append(why)
-        self._something.set()
-        self._is_over = True
+    def _send_away(self, why: RefusedError) -> None:
+        if not self._end.done():
+            self._end.set_result(why)
 
     async def _read(self, tracker: TrackerHandle) -> None:
-        receive, config = self._socket.receive, self._config
+        receive = self._socket.receive
         while True:
+            await self._room.acquire()
             message = await receive()
             if message["type"] == "websocket.disconnect":
                 return
@@ -112,32 +111,23 @@ class Live:
             tracker.ask(self._on_answer, "take", self.client, data)
             if wait > 0:
                 await asyncio.sleep(wait)
-            if len(self._came) >= config.max_under_way:
-                self._room.clear()
-                await self._room.wait()
 
     def _on_answer(self, answer: str | bytes | RefusedError) -> None:
         """Hand on an answer of the tracker."""
-        if self._is_over:
+        if self._end.done():
             return
         if isinstance(answer, RefusedError) and self._mistakes.take() > 0:
-            self._end(RefusedError(429, f"more than {self._config.max_mistakes} messages could not be read"))
+            self._send_away(RefusedError(429, f"more than {self._config.max_mistakes} messages could not be read"))
             return
-        self._outbox.append(answer)
-        self._something.set()
+        self._outbox.put_nowait(answer)
 
     async def _write(self) -> None:
         """Send answers."""
-        socket, outbox, came = self._socket, self._outbox, self._came
+        socket, came = self._socket, self._came
         while True:
-            if not outbox:
-                self._something.clear()
-                await self._something.wait()
-            answer = outbox.popleft()
+            answer = await self._outbox.get()
             if isinstance(answer, RefusedError):
                 self._metrics.refused.labels(answer.status).inc()
-                if self._is_over:
-                    raise answer
                 await socket.send_json(answer.document)
             elif isinstance(answer, bytes):
                 await socket.send_bytes(answer)
@@ -146,7 +136,7 @@ class Live:
             if came:
                 self._metrics.wait.observe(monotonic() - came.popleft())
                 self._metrics.messages.inc()
-            self._room.set()
+            self._room.release()
 
 
 async def close(socket: WebSocket, why: RefusedError) -> None:

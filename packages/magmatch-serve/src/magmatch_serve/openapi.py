@@ -11,7 +11,7 @@ from magmatch._version import __version__
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.localization.result import LocalizationResult
 from magmatch.registration.result import RegistrationResult
-from magmatch_serve.logs.work import FILES, QUESTIONS, Verb
+from magmatch_serve.logs.work import QUESTIONS, Verb
 from magmatch_serve.messages import Hello, Sample, Samples
 
 REFUSALS = {
@@ -89,16 +89,14 @@ def openapi() -> dict[str, Any]:
 def _log(verb: Verb) -> dict[str, Any]:
     """A log as the body, and the words of the query."""
     body = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
-    question = QUESTIONS[verb]
-    words = [_parameter(name, question) for name in question.model_fields if name != "format"]
-    words += [_parameter(name, SurveyFormat) for name in SurveyFormat.model_fields if name not in FILES]
+    question, formats = QUESTIONS[verb], SurveyFormat.model_fields
+    words = []
+    # What is asked first, then how the log is to be read.
+    for name, schema in sorted(question.model_json_schema()["properties"].items(), key=lambda one: one[0] in formats):
+        if name in question.words():
+            said = {"description": schema.pop("description")} if "description" in schema else {}
+            words.append({"name": name, "in": "query", "required": False, "schema": schema} | said)
     return {"requestBody": {"required": True, "content": body}, "parameters": words}
-
-
-def _parameter(name: str, model: Any) -> dict[str, Any]:
-    schema = model.model_json_schema()["properties"][name]
-    described = {"description": schema.pop("description")} if "description" in schema else {}
-    return {"name": name, "in": "query", "required": False, "schema": schema} | described
 
 
 def _answers(schema: str | None = None) -> dict[str, Any]:

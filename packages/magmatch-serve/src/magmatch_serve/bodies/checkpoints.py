@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import time
 
-from magmatch.atomic import write_whole
 from magmatch.errors import ConfigurationError
 
 NAME = re.compile(r"[0-9a-f]{24}\.state")
@@ -23,23 +22,6 @@ UPLOAD = "log-"
 def path_of(folder: Path, client: str) -> Path:
     """Give the file of a client's state; its id is the digest of a key, never a client's own words."""
     return folder / f"{client}.state"
-
-
-def save(path: Path, state: bytes) -> None:
-    """Put a state in the place of the one before."""
-    write_whole(path, state)
-
-
-def load(folder: Path, client: str) -> bytes | None:
-    """Give the last state of a client, if there is one."""
-    with suppress(FileNotFoundError):
-        return path_of(folder, client).read_bytes()
-    return None
-
-
-def remove(folder: Path, client: str) -> None:
-    """Forget a client."""
-    path_of(folder, client).unlink(missing_ok=True)
 
 
 def sweep(folder: Path, keep: float) -> None:

@@ -6,10 +6,8 @@ import logging
 import select
 import signal
 from collections import OrderedDict
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import monotonic
@@ -17,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from magmatch.atomic import write_whole
 from magmatch.errors import MagmatchError
 from magmatch.estimation.limits import MAX_LOADED
 from magmatch.geometry import path_walked
@@ -33,15 +32,6 @@ log = logging.getLogger("magmatch.serve")
 LINGER, TICK = 60.0, 0.1
 # A batch that took so long, s, begins no second search, which would take several times longer: others wait for it.
 SEARCH_WITHIN = 0.005
-
-
-@dataclass(frozen=True, slots=True)
-class Opened:
-    """The words that a client is told when it comes."""
-
-    is_resumed: bool
-    n: int
-    t: float | None
 
 
 def run_tracker(pipe: Connection, place: Path, config: ServeConfig) -> None:
@@ -107,10 +97,6 @@ class Tracker:
         self._loading: Future[KnownPlaces] | None = None
         self._search_until, self._has_searched = 0.0, False
         self._next_save, self._written = monotonic(), self._writer.submit(lambda: None)
-        self._verbs: dict[str, Callable[..., Any]] = {
-            "open": self.open, "take": self.take, "leave": self.leave, "watch": self.watch, "renew": self.renew,
-            "renewed": self.renewed,
-        }  # fmt: skip
 
     def answers(self, requests: list[tuple[Any, ...]]) -> list[tuple[int, Any]]:
         """Do what is asked for, one after another."""
@@ -118,17 +104,20 @@ class Tracker:
         return [self._answer(*one) for one in requests]
 
     def _answer(self, number: int, verb: str, *arguments: Any) -> tuple[int, Any]:
-        """Do one thing; what cannot be done is the answer, too."""
+        """Do one thing, a public method; what cannot be done is the answer, too."""
         try:
-            return number, self._verbs[verb](*arguments)
+            return number, getattr(self, verb)(*arguments)
         except RefusedError as refused:
             return number, refused
         except Exception:
             log.exception("a client's message was not worked on")
             return number, RefusedError(500, "the service made a mistake with this message; please report it")
 
-    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> Opened | None:
-        """Begin to follow a client, from where it was if it was here; None while its maps are made ready."""
+    def open(self, client: str, name: str, is_binary: bool, anew: bool) -> dict[str, Any] | None:
+        """Begin to follow a client, from where it was if it was here; None while its maps are made ready.
+
+        Gives what its welcome says of that.
+        """
         if anew:
             self._forget(client)
         body = self._bodies.get(client)
@@ -136,15 +125,17 @@ class Tracker:
         if body is None:
             if len(self._bodies) >= self._config.max_clients:
                 self._drop(everyone=True)
-            state = checkpoints.load(self._config.states, client)
             try:
-                body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
+                state = checkpoints.path_of(self._config.states, client).read_bytes()
+                body = Body.resumed(self._known, self._config.localizer, state)
+            except FileNotFoundError:
+                pass
             except NotReadyError:
                 return None
             is_resumed = body is not None
             body = self._bodies[client] = body or Body(self._known, self._config.localizer)
         body.name, body.is_binary, body.left_at = name or body.name, is_binary, None
-        return Opened(is_resumed, body.n, body.t)
+        return {"resumed": is_resumed, "n": body.n, "t": body.t}
 
     def take(self, client: str, message: str | bytes) -> str | bytes:
         """Give the answer to a message."""
@@ -210,7 +201,7 @@ class Tracker:
     def _save(self, client: str) -> None:
         body = self._bodies[client]
         if not body.is_kept:
-            self._written = self._writer.submit(_save, self._config.states, client, body.state())
+            self._written = self._writer.submit(_save, checkpoints.path_of(self._config.states, client), body.state())
             body.is_kept = True
 
     def _drop(self, *, everyone: bool = False) -> None:
@@ -226,11 +217,11 @@ class Tracker:
     def _forget(self, client: str) -> None:
         self._bodies.pop(client, None)
         # It goes after whatever is still to be written of it.
-        self._writer.submit(checkpoints.remove, self._config.states, client).result()
+        self._writer.submit(checkpoints.path_of(self._config.states, client).unlink, missing_ok=True).result()
 
 
-def _save(folder: Path, client: str, state: bytes) -> None:
+def _save(path: Path, state: bytes) -> None:
     try:
-        checkpoints.save(checkpoints.path_of(folder, client), state)
+        write_whole(path, state)
     except (OSError, MagmatchError) as error:
         log.warning("the state of a client was not kept: %s", error)

@@ -140,10 +140,10 @@ class TrackerHandle:
         if not (self._is_closing or is_hopeless):
             log.warning("a process that follows clients ended; another takes its place")
             self._starting = self._loop.create_task(self._revive())
-        for answer in lost:
-            answer(RefusedError(503, "the process that follows this client ended; come again", retry_after=5))
         for tell in list(self.on_death):
             tell()
+        for answer in lost:
+            answer(RefusedError(503, "the process that follows this client ended; come again", retry_after=5))
 
     async def _revive(self) -> None:
         if self._process is not None:

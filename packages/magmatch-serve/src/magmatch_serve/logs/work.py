@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
@@ -46,12 +46,18 @@ FILES = {"trajectory", "trajectory_time_unit", "extrinsic"}
 _one_at_a_time = threading.Lock()
 
 
-class LogQuestion(BaseModel):
-    """The words of a query that say how a log is to be read."""
+class LogQuestion(SurveyFormat):
+    """The words of a query: how a log is to be read, and what is asked of it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    @classmethod
+    def words(cls) -> set[str]:
+        """Those that a client may say."""
+        return set(cls.model_fields) - FILES
 
-    format: SurveyFormat = Field(default_factory=SurveyFormat)
+    @property
+    def format(self) -> SurveyFormat:
+        """How the log is to be read."""
+        return SurveyFormat.model_validate(self.model_dump(include={*SurveyFormat.model_fields}, exclude_unset=True))
 
 
 class WhereOfLog(LogQuestion):
@@ -76,18 +82,15 @@ QUESTIONS: dict[Verb, type[LogQuestion]] = {"localize": WhereOfLog, "register": 
 def read_question(verb: Verb, words: list[tuple[str, str]]) -> LogQuestion:
     """Read the query of a request."""
     kind = QUESTIONS[verb]
-    given: dict[str, Any] = {}
-    layout: dict[str, str] = {}
-    own = set(kind.model_fields) - {"format"}
-    formats = set(SurveyFormat.model_fields) - FILES
+    given: dict[str, str] = {}
     for name, value in words:
-        if name not in own | formats or name in given | layout:
-            expected = ", ".join(sorted(own | formats))
-            fault = "twice" if name in given | layout else "among the words of the query"
+        if name not in kind.words() or name in given:
+            expected = ", ".join(sorted(kind.words()))
+            fault = "twice" if name in given else "among the words of the query"
             raise RefusedError(422, f"found '{name[:40]}' {fault}; expected each at most once of {expected}")
-        (given if name in own else layout)[name] = value
+        given[name] = value
     try:
-        found = kind.model_validate(given | {"format": SurveyFormat.model_validate(layout)})
+        found = kind.model_validate(given)
     except ValidationError as error:
         place, fault = first_fault(error)
         raise RefusedError(422, f"{place}: {fault}") from None
@@ -172,7 +175,7 @@ def _for_client(words: str, place: Path, upload: Path, question: LogQuestion) ->
     # A user without a home has "/", "~" or nothing.
     home = os.path.expanduser("~")  # noqa: PTH111  # Path.home() raises an error instead
     is_ours = len(home) > 1 and home in words
-    return "" if is_ours else in_query_words(words, switches, set(SurveyFormat.model_fields) - FILES)
+    return "" if is_ours else in_query_words(words, switches, question.words())
 
 
 def _registered(known: Place, survey: Survey, question: PoseOfLog) -> dict[str, Any]:
