@@ -66,18 +66,6 @@ def test_a_constant_field_more_changes_nothing():
     assert shifted.log_ratio(residual, extra, rows)[0] == pytest.approx(model.log_ratio(residual, extra, rows)[0])
 
 
-def test_odds_do_not_depend_on_the_unit_of_the_field():
-    model = replace(model_of(), roughness=2e-13)
-    unit = 1e6
-    same = NullModel(
-        model.cells, unit * model.field, unit**2 * model.covariance, unit**2 * model.noise, unit**2 * 2e-13
-    )
-    residual, extra, rows = 3e-7 * RNG.standard_normal((12, 3)), np.full(12, 1e-15), np.arange(3, 12)
-    expected = model.log_ratio(residual[rows], extra[rows], rows)
-    found = same.log_ratio(unit * residual[rows], unit**2 * extra[rows], rows)
-    assert found == pytest.approx(expected)
-
-
 def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers():
     """Two cells: their difference is the one mode that the constant leaves."""
     noise, strong = 1e-14, 4e-11
@@ -105,9 +93,9 @@ def test_odds_of_one_cell_are_those_of_two_normal_densities_mixed_with_outliers(
 N_DRAWS = 400
 
 
-@pytest.mark.parametrize("n", [2, 3, 5, 30])
-@pytest.mark.parametrize("length", [0.3, 1.5])
-@pytest.mark.parametrize("noise", [1e-14, 3e-12])
+@pytest.mark.parametrize(
+    ("n", "length", "noise"), [(2, 0.3, 1e-14), (2, 1.5, 3e-12), (5, 0.3, 3e-12), (30, 1.5, 1e-14), (30, 0.3, 3e-12)]
+)
 def test_under_the_null_odds_are_one_at_most_on_average(n, length, noise):
     """Fields drawn from the null model, against predictions that know nothing of them: E[ratio] <= 1.
 
@@ -136,17 +124,6 @@ def test_under_the_null_odds_are_one_at_most_on_average(n, length, noise):
             error = np.std(ratios) / np.sqrt(N_DRAWS)
             assert np.mean(ratios) + 3 * error <= 1, name
             assert np.mean(np.array(ratios) > 20) <= 1 / 20, name
-
-
-def test_the_very_field_is_told_from_unrelated_ones():
-    """The other side of the same: of fields drawn alike, the right prediction is worth far more than chance."""
-    n, rng, noise = 12, np.random.default_rng(3), 1e-14
-    model = model_of(n, noise=noise)
-    right = []
-    for _ in range(50):
-        residual = np.sqrt(noise) * rng.standard_normal((n, 3))
-        right.append(model.log_ratio(residual, np.zeros(n), np.arange(n))[0])
-    assert min(right) > 20
 
 
 @given(seed=st.integers(0, 2**32 - 1), size=st.floats(1e-9, 1e-4), extra=st.floats(0, 1e-11), n=st.integers(2, 15))

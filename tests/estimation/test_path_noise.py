@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial.distance import cdist
 from scipy.stats import chi2 as chi2_of
@@ -102,13 +100,6 @@ def test_where_residuals_are_as_expected_the_normalised_likelihood_ratio_is_one_
     assert np.trapezoid(density, u) == pytest.approx(1, abs=1e-3)
 
 
-@given(low=st.floats(0, 1e4), high=st.floats(0, 1e4), n_free=st.integers(1, 300), spread=st.floats(0.01, 2))
-def test_larger_residuals_are_never_more_likely(low, high, n_free, spread):
-    noise, (low, high) = replace(NOISE, spread=spread), sorted((low, high))
-    assert noise.factor(low, n_free)[1] >= noise.factor(high, n_free)[1]
-    assert noise.factor(low, n_free)[0] <= noise.factor(high, n_free)[0]
-
-
 def stretches_of(noise, n_stretches, seed, n=12, factors=None):
     rng, found = np.random.default_rng(seed), []
     for k in range(n_stretches):
@@ -196,8 +187,7 @@ def test_left_out_stretches_hold_the_field_where_they_lie_and_what_the_rest_miss
     x = (1.0 + 0.005 * angle)[:, None] * np.c_[np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)]
     truth, length = some_field(1), 0.5
     survey = Survey(x, truth.evaluate(x).field + noise * np.random.default_rng(0).standard_normal(x.shape))
-    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=noise, spacing=0.25)
-    field_map = build_map(survey, numbers)
+    field_map = build_map(survey, NUMBERS)
     found, _ = predict_stretches(field_map, length, np.random.default_rng(0))
     T = field_map.T_map_model
     z = []
@@ -215,28 +205,35 @@ def test_left_out_stretches_hold_the_field_where_they_lie_and_what_the_rest_miss
     assert 0.6 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 1.4
 
 
-def test_a_domain_far_from_the_models_origin_leaves_stretches_as_they_are():
+NUMBERS = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
+
+
+def laps(noise=0.0, away=(0.0, 0.0, 0.0)):
+    """Three laps that widen, through a known field."""
     angle = np.linspace(0, 6 * np.pi, 700)
     x = (1.0 + 0.01 * angle)[:, None] * np.c_[np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)]
-    survey = Survey(x + np.array([50.0, 20.0, 0.0]), some_field(1).evaluate(x).field)
-    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
+    return Survey(
+        x + away, some_field(1).evaluate(x).field + noise * np.random.default_rng(0).standard_normal(x.shape)
+    )
+
+
+def test_a_domain_far_from_the_models_origin_leaves_stretches_as_they_are():
+    survey = laps(away=(50.0, 20.0, 0.0))
     box = (*(survey.positions.min(axis=0) - 2.0), *(survey.positions.max(axis=0) + 2.0))
     free, within = (
-        predict_stretches(build_map(survey, c), 0.5, np.random.default_rng(0))[0]
-        for c in (numbers, numbers.model_copy(update={"domain": box}))
+        predict_stretches(
+            build_map(survey, NUMBERS.model_copy(update={"domain": one})), 0.5, np.random.default_rng(0)
+        )
+        for one in (None, box)
     )
-    assert len(free) == len(within) > 0
-    for one, other in zip(free, within, strict=True):
+    assert len(free[0]) == len(within[0]) > 0
+    for one, other in zip(free[0], within[0], strict=True):
         np.testing.assert_array_equal(one.residual, other.residual)
 
 
 def test_stretches_that_the_posterior_knows_are_the_same_however_it_is_inflated():
     """Inflation makes up for errors that no spread predicts; it says nothing of how far other passes are."""
-    angle = np.linspace(0, 6 * np.pi, 700)
-    x = (1.0 + 0.01 * angle)[:, None] * np.c_[np.cos(angle), np.sin(angle), 0.1 * np.sin(3 * angle)]
-    field = some_field(1).evaluate(x).field + 3e-7 * np.random.default_rng(0).standard_normal(x.shape)
-    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
-    field_map = build_map(Survey(x, field), numbers)
+    field_map = build_map(laps(noise=3e-7), NUMBERS)
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     found = []
     for inflation in (1.0, 100.0):
@@ -248,8 +245,7 @@ def test_stretches_that_the_posterior_knows_are_the_same_however_it_is_inflated(
     for one, other in zip(little, much, strict=True):
         np.testing.assert_array_equal(one.positions, other.positions)
         np.testing.assert_allclose(other.map_sd, 100 * one.map_sd, rtol=1e-9)
-    n_bins = [sum(len(one.positions) for one in each) for each in (by_spread, much)]
-    assert n_bins[0] < n_bins[1]
+    assert sum(len(one.positions) for one in by_spread) < sum(len(one.positions) for one in much)
 
 
 @pytest.mark.parametrize("stated", [0.0, 0.3])
@@ -257,7 +253,6 @@ def test_where_drift_cannot_be_learned_a_pose_is_not_stated_better_than_where_it
     """A line passed once holds out nothing; CEA's positions drift by 0.05 field lengths, a museum's by 0.18."""
     x = np.c_[np.linspace(0, 6, 200), np.zeros((200, 2))]
     survey = Survey(x, some_field(1).evaluate(x).field, pose_sd=stated)
-    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=2e-5, noise_sd=3e-7, spacing=0.25)
-    _, live = learn_path_noise(build_map(survey, numbers), 2.0, np.random.default_rng(0))
+    _, live = learn_path_noise(build_map(survey, NUMBERS), 2.0, np.random.default_rng(0))
     assert not live.is_learned
     assert live.drift_sd == pytest.approx(max(stated, 0.16))

@@ -2,7 +2,6 @@
 """Laws of the whole extraction: keypoints move with the map, descriptors stay."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,24 +28,15 @@ def assert_carried(moved, features, T):
 
 @given(seed=st.integers(0, 1000))
 @LAW
-def test_features_move_with_a_map_that_is_carried_to_another_frame(make_map, seed):
-    T = random_transform(np.random.default_rng(seed))
-    field_map = make_map(seed)
-    assert_carried(extract_features(field_map.transformed(T), CONFIG), extract_features(field_map, CONFIG), T)
-
-
-@given(seed=st.integers(0, 1000))
-@LAW
 def test_features_move_with_a_survey_that_was_taken_in_another_frame(make_map, seed):
     T_new_world = random_transform(np.random.default_rng(seed))
     features = extract_features(make_map(seed), CONFIG)
     assert_carried(extract_features(make_map(seed, T_new_world.inv()), CONFIG), features, T_new_world)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
-def test_descriptors_of_two_surveys_of_one_room_look_alike(make_map, seed):
+def test_descriptors_of_two_surveys_of_one_room_look_alike(make_map):
     config = FeatureConfig(spacing=0.1)
-    one, other = make_map(seed), make_map(seed, sample_seed=99)
+    one, other = make_map(0), make_map(0, sample_seed=99)
     half_range = max(component_range(m.survey.field) for m in (one, other))
     a, b = extract_features(one, config, half_range), extract_features(other, config, half_range)
     alike = np.linalg.norm(a.descriptors[:, None] - b.descriptors, axis=2).argmin(axis=1)
@@ -60,7 +50,3 @@ def test_a_uniform_field_gives_no_features(make_map, make_room):
     features = extract_features(make_map(0, source=make_room(0, n=0)), CONFIG)
     assert len(features) == 0
     assert features.descriptors.shape == (0, N_DIMENSIONS)
-
-
-def test_frames_that_are_noise_leave_no_keypoint(make_map):
-    assert len(extract_features(make_map(1), CONFIG.model_copy(update={"min_frame_strength": 0.999}))) == 0

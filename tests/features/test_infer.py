@@ -4,12 +4,9 @@
 import numpy as np
 import pytest
 
-from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.features.config import FeatureConfig
 from magmatch.features.infer import in_hull, infer
-from magmatch.field.build import build_map
-from magmatch.field.config import SPLINE
 from magmatch.geometry import random_transform
 
 
@@ -58,7 +55,7 @@ def test_only_points_that_the_map_knows_are_asked(make_map):
     assert field_map.knows(infer(field_map, FeatureConfig(spacing=0.1)).positions).all()
 
 
-@pytest.mark.parametrize("kind", ["auto", "region", "path"])
+@pytest.mark.parametrize("kind", ["region", "path"])
 def test_the_number_of_points_is_bounded(make_map, kind):
     config = FeatureConfig(spacing_in_lengthscales=0.02, max_points=2000, grid=kind)
     field_map = make_map(0)
@@ -81,9 +78,7 @@ def test_support_is_what_lies_within_the_radius(make_map, kind):
     assert np.array_equal(there.sum(axis=1), (apart < 2.5 + 1e-6).sum(axis=1) - 1)
 
 
-def test_a_straight_oblique_line_holds_no_region():
-    along = np.linspace(0, 4, 200)[:, None] * np.array([[0.6, 0.8, 0.0]])
-    field = np.column_stack([np.sin(along[:, 0]), np.cos(along[:, 1]), along[:, 0]]) * 5e-6
-    line = build_map(Survey(along, field), SPLINE)
+def test_a_straight_oblique_line_holds_no_region(make_map):
+    line = make_map(0, x=np.linspace(0, 2, 200)[:, None] * np.array([0.6, 0.8, 0.0]))
     assert len(infer(line, FeatureConfig(grid="region")).positions) == 0
     assert len(infer(line).positions) > 0

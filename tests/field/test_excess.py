@@ -20,7 +20,7 @@ ABSURD = FieldConfig(
 )
 
 
-def lines(n=40):
+def lines(n=20):
     """Three corridors and three across, with a field that no sources outside of them make."""
     along = np.linspace(0, 10, n)
     x = np.concatenate(
@@ -47,13 +47,13 @@ def test_a_map_that_varies_far_more_beside_its_samples_than_at_them_says_so(absu
     built, said = absurd
     assert "beside samples that vary by" in said
     assert "use another prior" in said
-    built.with_surveys(lines(11))
+    built.with_surveys(lines(7))
     assert "use another prior" in caplog.text
 
 
 @pytest.mark.parametrize("prior", sorted(PRIORS))
 def test_with_numbers_of_its_own_no_prior_makes_more_of_a_survey_than_it_shows(prior, caplog):
-    survey = lines(20)
+    survey = lines(15)
     with caplog.at_level(logging.WARNING):
         built = build_map(survey, FieldConfig(prior=prior))
     assert excess(built, survey) == ""
@@ -75,7 +75,7 @@ def test_auto_names_and_leaves_out_a_prior_whose_field_the_samples_make_impossib
 
 
 def test_on_a_line_nothing_is_known_beyond_the_reach_of_its_samples():
-    x = np.column_stack([np.linspace(0, 20, 100), np.zeros((100, 2))])
+    x = np.column_stack([np.linspace(0, 12, 60), np.zeros((60, 2))])
     field = 1e-6 * np.stack([18 + 6 * np.sin(x[:, 0]), 2 + 5 * np.cos(x[:, 0]), -44 + 7 * np.sin(0.7 * x[:, 0])], 1)
     survey = Survey(x, field + np.random.default_rng(1).normal(scale=3e-7, size=x.shape))
     for prior in PRIORS:

@@ -8,7 +8,7 @@ from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 from magmatch.field.build import build_map
-from magmatch.field.config import SPLINE
+from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
 
@@ -18,7 +18,8 @@ def field_map():
     rng = np.random.default_rng(4)
     p = rng.uniform(0, [2.0, 1.5, 0.8], (150, 3))
     b = np.array([20e-6, 0, -40e-6]) + 3e-6 * np.column_stack([np.sin(3 * p[:, 0]), np.cos(2 * p[:, 1]), p[:, 2]])
-    return build_map(Survey(p, b, frame="hall"), SPLINE)
+    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=3e-6, noise_sd=1e-7, spacing=0.3)
+    return build_map(Survey(p, b, frame="hall"), numbers)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.survey import Survey
 from magmatch.field.build import build_map
-from magmatch.field.cholesky.point_solves import solve_operations
 from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
@@ -111,17 +110,6 @@ def test_few_points_by_solves_and_many_by_the_selected_inverse_agree(spline, ord
     assert "_selected_inverse" in vars(other)
     np.testing.assert_allclose(by_solves, many[:6], atol=1e-9 * by_solves.max())
     assert np.array_equal(by_solves, other.covariance(q, order))
-
-
-def test_work_of_solves_is_counted_from_where_a_point_enters(spline):
-    model, _ = spline
-    e, root = model.elimination, model.elimination.fronts[-1]
-    constant = model.cells.n_nodes + np.arange(3)
-    assert solve_operations(e, constant[None], 2) == 2 * (root.stop - root.start) ** 2
-    cells = np.c_[model.cells.cell_nodes, np.tile(constant, (model.cells.n_cells, 1))]
-    every = [solve_operations(e, cell[None], 1) for cell in cells]
-    assert min(every) >= (root.stop - root.start) ** 2
-    assert solve_operations(e, cells, 1) == pytest.approx(sum(every))
 
 
 def test_no_points_have_no_covariance(spline):

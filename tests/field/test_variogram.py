@@ -29,12 +29,3 @@ def test_the_typical_length_of_many_samples_is_that_of_few():
     points = np.random.default_rng(3).uniform(0, 3, (24_000, 3))
     few = typical_length(points[::8], 1e-6 * np.sin(3 * points[::8]))
     assert typical_length(points, 1e-6 * np.sin(3 * points)) == pytest.approx(few, rel=0.15)
-
-
-def test_the_typical_length_is_where_the_variogram_reaches_three_fifths():
-    """Along a line through a field that turns at an even rate: half its squared change is 1 - cos, its sill 1."""
-    x = np.linspace(0, 100, 6000)
-    field = 1e-6 * np.c_[np.cos(x), np.sin(x), 0 * x]
-    found = typical_length(np.c_[x, 0 * x, 0 * x], field)
-    # The first of its bins, which double in distance every second one.
-    assert 1 < found / np.arccos(0.4) < 1.45

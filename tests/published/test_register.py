@@ -74,7 +74,10 @@ def test_nothing_in_common_is_a_result(base_map):
 
 
 def test_both_maps_are_asked_at_one_spacing_and_over_one_range(base_map):
-    finer = build_map(survey_of(2, 4, RigidTransform.identity()), FIELD.model_copy(update={"lengthscale": 0.4}))
+    finer = build_map(
+        survey_of(2, 4, RigidTransform.identity(), n=200),
+        FIELD.model_copy(update={"lengthscale": 0.4, "spacing": 0.6}),
+    )
     shared = comparable(base_map, finer, CONFIG)
     assert shared.features.spacing == grid_spacing(base_map, FeatureConfig()) > grid_spacing(finer, FeatureConfig())
     assert comparable(finer, base_map, CONFIG) == shared

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from hand_made import exp_se3
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.values import FieldValues
 from magmatch.geometry import random_transform, transform_error
@@ -49,15 +48,6 @@ def prepared_pair(make_exact_pair):
 
 def error(T, T_true, target):
     return transform_error(T, T_true, target.samples.mean(axis=0))
-
-
-def test_refinement_reaches_the_noise_floor_from_a_rough_start(prepared_pair):
-    base, target, T_true = prepared_pair
-    start = T_true * exp_se3(np.array([0.05, -0.03, 0.04, 0.05, 0.02, -0.04]))
-    pose = refine(base, target, start, FLAT, RefinementConfig(), np.random.default_rng(0))
-    distance, angle = error(pose.T_base_target, T_true, target)
-    assert distance < 1e-3
-    assert angle < np.radians(0.1)
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])

@@ -13,8 +13,6 @@ from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.simulation.config import SimulationConfig
 
-NEAR = np.array([0.02, -0.01, 0.03, 0.04, 0.05, -0.03])
-
 
 class Place:
     """Maps of a pair, and its registration."""
@@ -56,13 +54,6 @@ def test_judging_an_accepted_pose_gives_it_again_with_its_probability(kind, requ
     assert in_sds(place.found, again) < 0.1
     assert again.probability == pytest.approx(place.found.probability, abs=1e-3)
     np.testing.assert_allclose(np.diag(again.covariance), np.diag(place.found.covariance), rtol=0.1)
-
-
-def test_a_pose_that_is_near_is_refined(place):
-    rough = place.T * exp_se3(NEAR)
-    result = mm.judge(place.base, place.target, [rough])
-    assert result.is_accepted
-    assert transform_error(result.T_base_target, place.T, place.center)[0] < 0.03
 
 
 def test_wrong_poses_are_refused_near_and_far(place):

@@ -95,58 +95,21 @@ def test_file_has_the_keys_of_the_interface_in_order(saved):
 
 @given(seed=st.integers(0, 10_000))
 @few
-def test_saving_what_was_loaded_gives_the_same_bytes(tmp_path_factory, seed):
-    folder = tmp_path_factory.mktemp("r")
-    accepted(seed).save(folder / "a.json")
-    RegistrationResult.load(folder / "a.json").save(folder / "b.json")
+def test_what_was_saved_comes_back_to_the_bit_and_is_saved_in_the_same_bytes(tmp_path_factory, seed):
+    folder, before = tmp_path_factory.mktemp("r"), accepted(seed)
+    before.save(folder / "a.json")
+    after = RegistrationResult.load(folder / "a.json")
+    assert after.to_dict() == before.to_dict()
+    assert np.array_equal(after.T_base_target.rotation.as_quat(), before.T_base_target.rotation.as_quat())
+    after.save(folder / "b.json")
     assert (folder / "a.json").read_bytes() == (folder / "b.json").read_bytes()
 
 
-def test_every_field_comes_back_to_the_bit(saved):
-    before, after = accepted(), RegistrationResult.load(saved)
-    assert after.is_accepted
-    assert np.array_equal(after.T_base_target.as_matrix(), before.T_base_target.as_matrix())
-    assert np.array_equal(after.T_base_target.rotation.as_quat(), before.T_base_target.rotation.as_quat())
-    assert np.array_equal(after.covariance, before.covariance)
-    assert np.array_equal(after.links.base, before.links.base)
-    assert np.array_equal(after.links.target, before.links.target)
-    assert after.probability == before.probability
-    assert after.alternatives[1].probability is None
-    assert after.sensor == {
-        "bias": [1e-7, -2e-7, 5e-324],
-        "scale": 1.01,
-        "prior_sd": [1e-6],
-        "calibrated": {"base": {"time_offset": 0.01, "matrix": np.eye(3).tolist(), "shift": [-1e-6] * 3}},
-    }
-    for name in (
-        "status",
-        "reason",
-        "overlap",
-        "residual",
-        "fitness",
-        "seconds",
-        "seed",
-        "version",
-        "base",
-        "inputs",
-    ):
-        assert getattr(after, name) == getattr(before, name), name
-    for name in ("n_inliers", "n_keypoints", "n_correspondences"):
-        assert getattr(after, name) == getattr(before, name), name
-
-
-@pytest.mark.parametrize("status", [s for s in Status if s is not Status.ACCEPTED])
-def test_refusal_has_no_transform_and_comes_back(tmp_path, status):
-    refused = RegistrationResult(status, "too little structure", None, alternatives=accepted().alternatives)
-    refused.save(tmp_path / "r.json")
-    document = json.loads((tmp_path / "r.json").read_text())
-    assert document["T_base_target"] is None
-    assert document["covariance"] is None
-    after = RegistrationResult.load(tmp_path / "r.json")
-    assert after.status is status
+def test_refusal_has_no_transform_and_comes_back(tmp_path):
+    RegistrationResult(Status.AMBIGUOUS, "so it is", None, alternatives=accepted().alternatives).save(tmp_path / "r")
+    after = RegistrationResult.load(tmp_path / "r")
+    assert (after.status, after.T_base_target, after.covariance) == (Status.AMBIGUOUS, None, None)
     assert len(after.alternatives) == 2
-    after.save(tmp_path / "s.json")
-    assert (tmp_path / "s.json").read_bytes() == (tmp_path / "r.json").read_bytes()
 
 
 def test_nan_is_written_as_null_and_stays_readable(tmp_path):
@@ -205,35 +168,20 @@ BAD = {
     "status unknown": ("status", "fine", "expected 'accepted', 'ambiguous'"),
     "reason a number": ("reason", 3, "expected a valid string, found 3"),
     "transform missing": ("T_base_target", None, "null with 'accepted'"),
-    "transform too small": ("T_base_target", [[1.0]], "expected 4 items"),
-    "transform ragged": ("T_base_target", [[1], [1, 2, 3, 4, 5, 6, 7], [1] * 4, [1] * 4], "expected 4 items"),
     "transform transposed": ("T_base_target", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]], "last row"),
     "transform scaled": ("T_base_target", np.diag([2.0, 2, 2, 1]).tolist(), "off orthonormal by 3"),
     "transform a reflection": ("T_base_target", np.diag([1.0, 1, -1, 1]).tolist(), "reflection"),
-    "transform with words": ("T_base_target", [["1"] * 4] * 4, "expected a valid number"),
-    "covariance not square": ("covariance", [[1.0] * 5] * 6, "expected 6 items"),
     "covariance not symmetric": ("covariance", np.triu(np.full((6, 6), 0.1) + np.eye(6)).tolist(), "symmetric"),
     "covariance not semidefinite": ("covariance", (np.full((6, 6), 2.0) - np.eye(6)).tolist(), "semidefinite"),
     "covariance negative": ("covariance", (-np.eye(6)).tolist(), "not negative"),
     "probability above one": ("probability", 1.5, "expected less than or equal to 1"),
     "overlap negative": ("overlap", -0.1, "expected greater than or equal to 0"),
-    "alternatives an object": ("alternatives", {}, "expected a list"),
-    "alternative without transform": (
-        "alternatives",
-        [{"probability": 0.5}],
-        r"alternatives\.0\.T_base_target': missing",
-    ),
     "direction not unit": ("degenerate_directions", [{"xi": [1, 1, 0, 0, 0, 0], "words": ""}], "unit vector"),
-    "sensor a list": ("sensor", [], "expected an object"),
-    "sensor's bias in a plane": ("sensor", {"bias": [1e-7, 1e-7]}, "expected 3 items"),
-    "residual words": ("residual", "1.0", "expected a valid number"),
     "links unequal": (
         "links",
         {"base": [[0, 0, 0]], "target": []},
         r"equal numbers of points, at most 300, found \[1, 0\]",
     ),
-    "links missing": ("links", {"base": []}, r"links\.target': missing"),
-    "config words": ("config", "default", "expected an object"),
     "number huge": ("residual", 10**400, "expected a valid number"),
 }
 
@@ -252,15 +200,10 @@ def test_impossible_value_is_refused_by_its_key(saved, case):
     ("content", "message"),
     [
         (b"", "is not a registration result"),
-        (b"\x00\xff\xfe", "is not a registration result"),
-        (b"[1, 2]", "key 'schema': expected"),
         (b'{"status": "accepted"}', "key 'schema': expected"),
         (b'{"schema": "magmatch.registration/2"}', "written by another version of magmatch: update"),
-        (b'{"schema": "magmatch.registration/1"}', "key 'status': missing"),
-        (b'{"schema": "magmatch.registration/1", "residual": NaN}', "NaN is not a JSON number"),
         (b'{"schema": "magmatch.registration/1", "residual": 1e999}', "1e999 is not a JSON number"),
         (b'{"schema": "magmatch.registration/1", "schema": 1}', "appears twice"),
-        (b'{"schema": "magmatch.registration/1", "checksum": []}', "key 'checksum'"),
         (b"[" * 100_000, "is not a registration result"),
     ],
 )
@@ -335,10 +278,6 @@ def test_hash_changes_with_the_content(name):
         changed = value.copy()
         changed.flat[17] = np.nextafter(changed.flat[17], np.inf)
     assert hash_survey(survey(**{name: changed})) != hash_survey(one)
-
-
-def test_hash_tells_missing_times_from_given_ones():
-    assert len({hash_survey(survey(times=None)), hash_survey(survey()), hash_survey(survey(orientations=None))}) == 3
 
 
 def test_loaded_identity_is_not_mistaken_for_missing(tmp_path):

@@ -2,11 +2,10 @@
 """Cells and nodes against what their definition says, one by one."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.cholesky.cells import STENCIL_REACH, count_active_cells, lay_cells
+from magmatch.field.cholesky.cells import count_active_cells, lay_cells
 
 SPACING = 0.25
 # Of a node's place within a cell: which of the four nodes along each axis.
@@ -45,37 +44,3 @@ def test_cells_are_those_within_reach_and_nodes_those_that_touch_them(seed, reac
     assert (found.cell_index >= 0).sum() == found.n_cells
     np.testing.assert_array_equal(found.node_index.ravel()[found.flat_nodes()], np.arange(found.n_nodes))
     assert (found.node_index >= 0).sum() == found.n_nodes
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_stencil_of_a_node_holds_its_neighbours_in_order(seed):
-    cells = lay_cells(survey(seed), SPACING, 1.5)
-    around = np.array(list(np.ndindex(7, 7, 7))) - STENCIL_REACH
-    found = cells.node_index.ravel()[cells.flat_nodes()[:, None] + cells.stencil_shifts()]
-    number = {tuple(node): k for k, node in enumerate(cells.nodes.tolist())}
-    for node, neighbours in zip(cells.nodes, found, strict=True):
-        assert neighbours.tolist() == [number.get(tuple(p), -1) for p in (node + around).tolist()]
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_points_are_located_in_their_cell(seed):
-    x = survey(seed)
-    cells = lay_cells(x, SPACING, 1.5)
-    points = np.random.default_rng(seed).uniform(x.min(axis=0) - 1, x.max(axis=0) + 1, (300, 3))
-    number = {tuple(cell): k for k, cell in enumerate((cells.cells + cells.first).tolist())}
-    u = points / SPACING + 0.5
-    cell, t = cells.locate(points)
-    assert cell.tolist() == [number.get(tuple(p), -1) for p in np.floor(u).astype(int).tolist()]
-    np.testing.assert_allclose(t[cell >= 0], (u - np.floor(u))[cell >= 0], atol=1e-9)
-    assert 0 < (cell >= 0).sum() < 300
-
-
-def test_a_box_leaves_the_cells_within_it():
-    x = survey(3)
-    whole = lay_cells(x, SPACING, 2.5)
-    low = whole.first + np.array([1, 0, 2])
-    high = whole.first + np.array(whole.cell_index.shape) - [2, 1, 0]
-    found, cells = lay_cells(x, SPACING, 2.5, (low, high)), whole.cells + whole.first
-    inside = ((cells >= low) & (cells < high)).all(axis=1)
-    np.testing.assert_array_equal(found.cells + found.first, cells[inside])
-    np.testing.assert_array_equal(found.distance, whole.distance[inside])

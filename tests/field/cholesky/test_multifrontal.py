@@ -3,14 +3,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky import multifrontal
 from magmatch.field.cholesky.buffer_pool import BufferPool
 from magmatch.field.cholesky.cells import lay_cells
-from magmatch.field.cholesky.multifrontal import Factors, factorise
+from magmatch.field.cholesky.multifrontal import factorise
 from magmatch.field.cholesky.nested_dissection import order_elimination
 from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
@@ -18,15 +16,12 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
 from magmatch.field.spline.spline_prior import (
     CONSTANT_SD,
-    lone_cell_covariance,
     outside_covariance,
-    prior_element,
     smoothness_matrix,
 )
 from magmatch.threads import on_one_core
 from oracles.dense_matrix import to_dense
 
-few = settings(deadline=None, max_examples=8)
 SHAPES = {"volume": (1.0, 0.7, 0.4), "plane": (1.2, 1.0, 0.0), "line": (2.5, 0.0, 0.0), "point": (0.0, 0.0, 0.0)}
 
 
@@ -74,41 +69,6 @@ def test_selected_inverse_equals_the_dense_inverse_in_every_cell(shape):
         np.testing.assert_allclose(selected[rows], inverse[rows], atol=1e-9 * np.abs(inverse).max())
 
 
-def test_product_with_a_vector_equals_the_dense_one():
-    model, A, information = system(SHAPES["volume"])
-    x = np.random.default_rng(0).normal(size=len(information.eta))
-    dense = to_dense(A, model.cells)
-    np.testing.assert_allclose(A.times(x, model.cells), dense @ x, atol=1e-12 * np.abs(dense).max())
-
-
-def test_single_precision_gives_nearly_the_same_factor():
-    model, A, information = system(SHAPES["volume"])
-    double, single = (factorise(model.elimination, A, precision) for precision in (np.float64, np.float32))
-    assert single.log_determinant == pytest.approx(double.log_determinant, abs=0.1)
-    expected = double.solve(information.eta)
-    np.testing.assert_allclose(single.solve(information.eta), expected, atol=1e-3 * np.abs(expected).max())
-
-
-@few
-@given(leaf_size=st.integers(10, 2000), seed=st.integers(0, 50))
-def test_any_elimination_tree_gives_the_same_answer(leaf_size, seed):
-    model, A, information = system((1.0, 0.8, 0.2), seed, leaf_size)
-    reference = factorise(order_elimination(model.cells, 10**9), A)
-    factor = factorise(model.elimination, A)
-    assert factor.log_determinant == pytest.approx(reference.log_determinant, rel=1e-12)
-    expected = reference.solve(information.eta)
-    np.testing.assert_allclose(factor.solve(information.eta), expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_elimination_order_is_a_permutation_with_later_borders():
-    model, _, _ = system((1.5, 1.5, 0.3))
-    e = model.elimination
-    assert np.array_equal(np.sort(e.unknown), np.arange(e.n_unknowns))
-    assert np.array_equal(e.unknown[e.position], np.arange(e.n_unknowns))
-    assert all(np.all(f.border >= f.stop) and np.all(np.diff(f.border) > 0) for f in e.fronts)
-    assert sum(f.stop - f.start for f in e.fronts) == e.n_unknowns
-
-
 def test_indefinite_matrix_is_refused_with_the_pivot():
     model, A, _ = system((0.5, 0.5, 0.0))
     broken = StencilMatrix(A.stencil.copy(), A.border, A.corner)
@@ -124,14 +84,6 @@ def test_smoothness_is_the_integral_of_squared_derivatives_of_monomials(k):
     along = {0: np.ones(4), 1: i, 2: i**2 - 1 / 3, 3: i**3 - i}[k] / [1, 1, 2, 6][k]
     w = np.einsum("a,b,c->abc", along, np.ones(4), np.ones(4)).ravel()
     assert w @ smoothness_matrix(k) @ w == pytest.approx(1.0, rel=1e-10)
-
-
-@given(a=st.floats(0.2, 12.0), divergence_weight=st.floats(0.0, 1e4))
-@few
-def test_prior_is_positive_definite_at_extremes(a, divergence_weight):
-    assert np.linalg.eigvalsh(prior_element(a, divergence_weight)).min() > 0
-    covariance = lone_cell_covariance(a, divergence_weight, 1.5)
-    assert np.linalg.eigvalsh(covariance).min() > -1e-9 * covariance.max()
 
 
 @pytest.mark.parametrize("divergence_weight", [0.0, 300.0])
@@ -153,34 +105,3 @@ def test_region_too_large_for_its_spacing_is_refused_in_one_line():
     x = np.array([[0.0, 0, 0], [1e4, 1e4, 1e4]])
     with pytest.raises(ConfigurationError, match="widen the spacing"):
         lay_cells(x, 0.1, 2.5)
-
-
-@pytest.mark.parametrize(("x", "message"), [(np.zeros((0, 3)), "at least one"), (np.zeros((1, 3)), "positive")])
-def test_impossible_cells_are_refused(x, message):
-    with pytest.raises(ValueError, match=message):
-        lay_cells(x, 0.1 if len(x) == 0 else -1.0, 1.0)
-
-
-class Factor:
-    """Stands in for a factor: made once, and one in double precision serves for everything."""
-
-    n_bytes = 8
-
-    def __init__(self, precision):
-        self.precision = np.dtype(precision)
-
-
-@pytest.mark.parametrize(("can_be_light", "n_made"), [(True, 2), (False, 1)])
-def test_factors_are_made_when_they_are_asked_for_and_then_kept(can_be_light, n_made):
-    made = []
-
-    def make(precision):
-        made.append(precision)
-        return Factor(precision if can_be_light else np.float64)
-
-    factors = Factors(make)
-    assert factors.n_bytes == 0
-    assert factors.light is factors.light
-    assert factors.full.precision == np.float64
-    assert len(made) == n_made
-    assert factors.n_bytes == 8 * n_made

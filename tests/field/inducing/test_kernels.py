@@ -36,22 +36,6 @@ def test_kernel_is_the_printed_formula(seed, length):
         np.testing.assert_allclose(K[:, i, :, j], printed(x[i] - y[j], sf, length), rtol=1e-9, atol=1e-24)
 
 
-@laws
-@given(seeds, lengthscales)
-def test_derivatives_are_finite_differences(seed, length):
-    rng = np.random.default_rng(seed)
-    x, y = rng.normal(size=(3, 3)) * length, rng.normal(size=(4, 3)) * length
-    kernel = DivergenceFreeKernel(length, 1.0)
-    h = 1e-5 * length
-    exact = blocks(kernel, x, y, 2)
-    first = np.stack([(blocks(kernel, x + h * e, y) - blocks(kernel, x - h * e, y)) / (2 * h) for e in EYE], axis=1)
-    second = np.stack(
-        [(blocks(kernel, x + h * e, y, 1)[3:] - blocks(kernel, x - h * e, y, 1)[3:]) / (2 * h) for e in EYE], axis=1
-    )
-    np.testing.assert_allclose(exact[3:12], first.reshape(9, 3, 3, 4), atol=1e-8 / length)
-    np.testing.assert_allclose(exact[12:], second.reshape(27, 3, 3, 4), atol=1e-8 / length**2)
-
-
 def test_prior_of_field_and_gradient_is_that_of_finite_differences():
     length, h = 0.7, 1e-3
     kernel = DivergenceFreeKernel(length, 2.0)

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from dipoles import dipoles
 from magmatch.field.domain import Box
-from magmatch.field.equivalent_sources.shell import charge_design, charge_field, lay_shell
+from magmatch.field.equivalent_sources.shell import lay_shell
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import calibrated
 from magmatch.field.priors.harmonic import SPACING_RATIO, HarmonicPrior
@@ -31,27 +31,6 @@ def room(n=600, inside=False, noise_sd=0.5e-6):
     points = rng.uniform(0, BOX, size=(n, 3))
     points = points[np.linalg.norm(points - BOX / 2, axis=1) > 0.3]
     return points, field_at(points, inside=inside) + rng.normal(scale=noise_sd, size=points.shape)
-
-
-def test_the_sum_over_charges_equals_its_matrix():
-    rng = np.random.default_rng(0)
-    points, sources, charges = rng.normal(size=(7, 3)), rng.normal(size=(5, 3)) + 4, rng.normal(size=5)
-    for order, n_rows in ((0, 3), (1, 9), (2, 19)):
-        matrix = charge_design(points, sources, order)
-        assert matrix.shape == (n_rows, 7, 5)
-        np.testing.assert_allclose(charge_field(points, sources, charges, order), (matrix @ charges).T, rtol=1e-12)
-
-
-def test_rows_of_a_charge_are_the_derivatives_of_those_before():
-    """xx, xy, xz, yy, yz, zz after x, y, z, and so on: by central differences."""
-    rng = np.random.default_rng(1)
-    points, sources, charges, step = rng.normal(size=(6, 3)), rng.normal(size=(5, 3)) + 4, rng.normal(size=5), 1e-4
-    found = charge_field(points, sources, charges, 2)
-    places = [3, 4, 5, 9, 10, 11, 12, 13, 14], [4, 6, 7, 10, 12, 13, 15, 16, 17], [5, 7, 8, 11, 13, 14, 16, 17, 18]
-    for axis, rows in zip(step * np.eye(3), places, strict=True):
-        ends = (charge_field(points + side * axis, sources, charges, 1) for side in (1, -1))
-        slope = (next(ends) - next(ends)) / (2 * step)
-        np.testing.assert_allclose(found[:, rows], slope, rtol=1e-5, atol=1e-7)
 
 
 def test_charges_stand_around_the_region_and_fill_it_with_unit_variance():

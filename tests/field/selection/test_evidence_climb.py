@@ -71,14 +71,6 @@ def test_the_top_of_a_hill_is_found_to_a_step_and_its_noise_nearly(noise, diverg
     assert len(hill.asked) <= 12
 
 
-def test_noise_settles_within_two_fits_near_its_top_and_its_level_is_that_there():
-    hill = Hill(replace(START, noise_sd=2 * START.noise_sd))
-    top = settle(hill, START, lambda _: None)
-    assert top.hyperparameters.noise_sd == pytest.approx(2 * START.noise_sd)
-    assert top.noise_sd == pytest.approx(hill.noise_sd(top.hyperparameters))
-    assert len(hill.asked) <= 2
-
-
 @pytest.mark.parametrize("away", [-4.0, -1.0, 1.0, 4.0])
 def test_noise_is_found_where_its_slope_says_little_of_how_far_it_is(away):
     cliff = Cliff(replace(START, noise_sd=np.exp(away) * START.noise_sd))

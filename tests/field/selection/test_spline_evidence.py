@@ -57,7 +57,7 @@ def test_evidence_differences_equal_those_of_the_dense_gaussian_at_the_best_nois
     assert search.log_evidence(other) - search.log_evidence(H) == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize("signal_to_noise", [1.0, 30.0, 300.0, 1e4])
+@pytest.mark.parametrize("signal_to_noise", [1.0, 1e4])
 def test_single_precision_tells_the_same_evidence(signal_to_noise):
     """To a quarter of a nat, where a move has to gain two."""
     x, b = draw(400, seed=5)
@@ -67,8 +67,7 @@ def test_single_precision_tells_the_same_evidence(signal_to_noise):
     assert single.noise_sd(h) == pytest.approx(double.noise_sd(h), rel=1e-4)
 
 
-@pytest.mark.parametrize("autocorrelation_time", [1.0, 4.0])
-@pytest.mark.parametrize("factor", [0.1, 1.0, 5.0])
+@pytest.mark.parametrize(("autocorrelation_time", "factor"), [(1.0, 0.1), (4.0, 1.0), (1.0, 5.0)])
 def test_slopes_are_those_of_the_evidence_as_far_as_few_random_vectors_tell(factor, autocorrelation_time):
     x, b = draw(300, seed=4)
     search, h = EvidenceSearch(x, b, np.arange(len(x))), replace(H, noise_sd=factor * H.noise_sd)

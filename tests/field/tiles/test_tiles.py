@@ -94,16 +94,6 @@ def test_every_tile_with_a_say_exists_and_sees_every_sample_that_reaches_its_cel
         assert np.array_equal(rows, np.flatnonzero(reaches))
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_points_on_the_rim_lie_in_the_box_that_holds_their_cell(axis):
-    tiling, index = Tiling(0.25, margin=5, reach=2, core=8, blend=2), (0, -1, 2)
-    low, high = tiling.box(index)
-    points = np.tile(0.25 * (low + high - 1) / 2, (4, 1))
-    # Cell i spans (i - 0.5, i + 0.5) spacings; all these numbers are exact.
-    points[:, axis] = 0.25 * (np.array([low[axis] - 1, low[axis], high[axis] - 1, high[axis]]) - 0.5)
-    assert tiling.is_inside(points, index).tolist() == [False, True, True, False]
-
-
 def test_tiles_agree_with_one_fit_to_a_third_of_a_standard_deviation(fitted, whole):
     q = inside()
     sd = np.sqrt(np.trace(whole.covariance(q), axis1=1, axis2=2))
@@ -273,11 +263,3 @@ def test_where_single_precision_does_not_do_a_factor_is_double():
     light, exact = (f(model.observe(x[:400], b[:400])) for f in (model.infer_in_single_precision, model.infer))
     assert light.factors.light.precision == np.float64
     assert np.array_equal(light.weights, exact.weights)
-
-
-def test_a_tile_sees_half_a_lengthscale_beyond_its_core_within_bounds():
-    margins = [Tiling.suited_to(0.1 * cells, 0.1, 2.5).margin for cells in (1.0, 4.0, 8.0, 11.0, 40.0)]
-    assert margins == [5, 5, 7, 8, 9]
-    assert Tiling.suited_to(0.5, 0.25, 2.9).reach == 2
-    low, high = (np.array(corner) for corner in Tiling(0.2, margin=4, reach=2, core=8, blend=2).box((1, 0, -1)))
-    np.testing.assert_array_equal([low, high], [[0, -8, -16], [16, 8, 0]])

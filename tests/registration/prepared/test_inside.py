@@ -43,7 +43,7 @@ def counted(size, points, turns, rng, height=None):
     return np.log(part * np.where(share > 0, np.exp(weight(share)), 0.0).mean())
 
 
-@pytest.mark.parametrize(("size", "length"), [((4.0, 4.0, 4.0), 2.5), ((6.0, 6.0, 0.8), 1.5), ((8.0, 1.0, 0.6), 2.0)])
+@pytest.mark.parametrize(("size", "length"), [((4.0, 4.0, 4.0), 2.5), ((8.0, 1.0, 0.6), 2.0)])
 def test_any_turn_is_counted_as_by_trying(size, length):
     rng = np.random.default_rng(1)
     found = spread_inside(PosePrior(1.0), slab(*size), rod(length), weight)

@@ -5,7 +5,6 @@ import numpy as np
 from numba import typeof
 from scipy.interpolate import RegularGridInterpolator
 
-from hand_made import box, prepared_map, some_field
 from magmatch.registration.prepared.raster import RASTER, Raster, find_cell, interpolate_field
 
 ORIGIN, SPACING, SHAPE = np.array([0.3, -0.2, 0.1]), 0.25, (5, 4, 6)
@@ -50,15 +49,6 @@ def test_a_cell_is_known_where_all_its_corners_are():
         assert not np.concatenate([v.ravel() for v in (field, spread, gradient)]).any()
         far = inside + SPACING * (1 - 2 * np.array(corner)) * [1, 0, 0]
         assert raster_of(sd).lookup(far[None])[3].all()
-
-
-def test_of_a_field_that_is_linear_nothing_is_lost():
-    samples = box(np.random.default_rng(4), 50)
-    base = prepared_map(some_field(1, bend=0.0), samples)
-    field, _, gradient, is_known = base.raster.lookup(samples)
-    assert is_known.all()
-    np.testing.assert_allclose(field, base.point_field, atol=1e-18)
-    np.testing.assert_allclose(gradient, base.point_gradient, atol=1e-17)
 
 
 def test_a_search_is_told_the_same_field_as_who_asks_for_the_gradient_too():

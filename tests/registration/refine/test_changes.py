@@ -175,35 +175,24 @@ def test_choices_of_cells_that_take_turns_end_with_one_of_them(moved, ordinary, 
     assert ChangeSearch(base, target, nulls, FLAT, CONFIG, 0)._follow(start) is not None
 
 
-@pytest.fixture(scope="module")
-def found_with(moved, ordinary, nulls, whole):
-    """Log evidence of the poses beside a change, by settings; two starts, one of them rough."""
+OTHER = {"is_enabled": False, "max_misfit": 1e3, "n_candidates": 1, "n_samples": 200, "n_charges": 100}
+
+
+def test_each_setting_changes_what_is_found(moved, ordinary, nulls, whole):
+    """From two starts, one of them rough."""
     base, target, T_model, _ = moved
-    rough = T_model * perturbation(np.array([0.05, 0.02, 0.06, 0.06, 0.04, 0.02]), ordinary.center)
+    starts = [T_model * perturbation(np.array([0.05, 0.02, 0.06, 0.06, 0.04, 0.02]), ordinary.center), T_model]
+    small = ChangeConfig(n_samples=250, n_charges=120, n_candidates=2)
 
-    def find(config):
-        starts = [rough, T_model]
-        found = ChangeSearch(base, target, nulls, FLAT, config, 0).poses(starts, whole, ordinary)
-        return [one.log_evidence for one in found]
+    def evidence(**setting):
+        search = ChangeSearch(base, target, nulls, FLAT, small.model_copy(update=setting), 0)
+        return [one.log_evidence for one in search.poses(starts, whole, ordinary)]
 
-    return find
-
-
-SMALL = ChangeConfig(n_samples=250, n_charges=120, n_candidates=2)
-OTHER = {
-    "is_enabled": False, "max_misfit": 1e3, "n_candidates": 1, "n_samples": 200, "n_charges": 100,
-}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def usually_found(found_with):
-    return found_with(SMALL)
-
-
-@pytest.mark.parametrize("name", sorted(ChangeConfig.model_fields))
-def test_each_setting_changes_what_is_found(found_with, usually_found, name):
-    assert usually_found
-    assert found_with(SMALL.model_copy(update={name: OTHER[name]})) != usually_found
+    usual = evidence()
+    assert usual
+    assert OTHER.keys() == ChangeConfig.model_fields.keys()
+    for name, value in OTHER.items():
+        assert evidence(**{name: value}) != usual, name
 
 
 def test_where_nothing_changed_the_odds_are_those_of_a_constant_field_beside_a_known_one():

@@ -21,24 +21,6 @@ def test_neighbours_are_those_of_an_exhaustive_search(n, d, n_values, seed):
     assert all(len(set(row)) == k for row in found.tolist())
 
 
-@settings(max_examples=40, deadline=None)
-@given(n=st.integers(0, 400), d=st.integers(1, 8), n_values=st.sampled_from([1, 3, 1000]), seed=st.integers(0, 2**20))
-def test_each_node_divides_its_points_into_halves_along_their_widest_axis_and_equal_ones_by_row(n, d, n_values, seed):
-    points = np.random.default_rng(seed).integers(0, n_values, (n, d)).astype(np.float32)
-    tree = NeighbourTree.of(points)
-    np.testing.assert_array_equal(tree.points, points[tree.rows])
-    np.testing.assert_array_equal(np.sort(tree.rows), np.arange(n))
-    bounds = [(0, n)]
-    for axis, value in zip(tree.axes, tree.values, strict=True):
-        low, high = bounds.pop(0)
-        middle = (low + high) // 2
-        assert axis == np.argmax(np.ptp(tree.points[low:high], axis=0))
-        keys = list(zip(tree.points[low:high, axis], tree.rows[low:high], strict=True))
-        assert max(keys[: middle - low]) < min(keys[middle - low :])
-        assert value == min(keys[middle - low :])[0]
-        bounds += [(low, middle), (middle, high)]
-
-
 def test_more_neighbours_than_points_are_refused():
     with pytest.raises(ValueError, match="at most as many"):
         NeighbourTree.of(np.zeros((3, 2))).query(np.zeros((1, 2)), 4)

@@ -174,7 +174,7 @@ def test_what_a_bend_does_to_a_point_is_the_same_in_any_axes_and_about_any_centr
     assert seen.half_chi2 == pytest.approx(bend.half_chi2, rel=1e-6)
 
 
-@pytest.mark.parametrize("c", [1e-6, 0.5, 3.0, 8.0, 40.0, 300.0])
+@pytest.mark.parametrize("c", [1e-6, 3.0, 300.0])
 def test_the_evidence_of_a_bend_of_any_size_is_its_integral(c):
     xi = np.sqrt(2 * c / 6) * np.ones(6)
     bend = Bend(xi, np.zeros(3), np.eye(6), 1.0)

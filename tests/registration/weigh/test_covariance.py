@@ -36,14 +36,6 @@ def test_it_is_below_neither(first, second, rank):
     assert smallest(one + other - both) > -1e-9
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1))
-def test_it_turns_with_the_axes(first, second, turn):
-    Q = np.linalg.qr(np.random.default_rng(turn).standard_normal((6, 6)))[0]
-    one, other = (drawn(seed) / np.outer(SCALE, SCALE) for seed in (first, second))
-    turned = enclosing(Q @ one @ Q.T, Q @ other @ Q.T)
-    np.testing.assert_allclose(turned, Q @ enclosing(one, other) @ Q.T, rtol=1e-6, atol=1e-6 * np.abs(turned).max())
-
-
 def test_a_direction_that_is_known_exactly_is_kept():
     one, other = np.diag([0.0, *np.ones(5)]), np.diag([0.0, 4.0, *0.5 * np.ones(4)])
     assert np.diag(enclosing(one, other)) == pytest.approx([0, 4, 1, 1, 1, 1], abs=1e-9)
@@ -71,13 +63,11 @@ def sums_of(block, side):
     return np.stack([np.bincount(cells, column) for column in block.scores.T], axis=1)
 
 
-@pytest.mark.parametrize("n_blocks", [1, 2])
-def test_the_joint_covariance_is_a_sandwich_over_cells_added_over_blocks(n_blocks):
+def test_the_joint_covariance_is_a_sandwich_over_cells_added_over_blocks():
     rng = np.random.default_rng(0)
     prior = np.diag(rng.uniform(1, 5, 6))
     blocks = [
-        block_of(rng.normal(size=(400, 6)), rng.normal(size=400), rng.uniform(0, 1, (400, 3)))
-        for _ in range(n_blocks)
+        block_of(rng.normal(size=(400, 6)), rng.normal(size=400), rng.uniform(0, 1, (400, 3))) for _ in range(2)
     ]
     pose = pose_with(blocks, prior)
     expected = np.zeros((9, 9))

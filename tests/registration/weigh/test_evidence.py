@@ -160,25 +160,26 @@ def test_more_agreement_is_never_less_evidence(pair):
     assert misfits == sorted(misfits, reverse=True)
 
 
-@pytest.mark.parametrize("size", [0.0, 0.3e-6, 2e-6, 20e-6])
-@pytest.mark.parametrize("mode", ["none", "scale"])
-def test_no_pose_has_more_evidence_than_is_attainable(pair, size, mode):
-    """Whatever the residuals, sensors that must differ included; nearly all of it where nothing is left over."""
+def test_no_pose_has_more_evidence_than_is_attainable(pair):
+    """Sensors that must differ included; nearly all of it where nothing is left over."""
     base, target = pair
-    nulls = null_models_of(base, target)
-    exact = FIELD.evaluate(target.samples).field
+    nulls, exact = null_models_of(base, target), FIELD.evaluate(target.samples).field
     wrong = turn_about(np.zeros(3), np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0]))
-    read = replace(target, sample_field=exact + size * np.sin(4 * target.samples))
-    for T in (HERE, wrong):
+    for T, size, mode in (
+        (HERE, 0.3e-6, "scale"),
+        (HERE, 20e-6, "none"),
+        (wrong, 0.0, "none"),
+        (wrong, 2e-6, "scale"),
+    ):
+        read = replace(target, sample_field=exact + size * np.sin(4 * target.samples))
         pose = pose_at(base, read, T, mode)
         if mode == "scale":
             pose = replace(pose, sensor=pose.sensor.stepped(pose.sensor_sd * [0.5, -1.0, 2.0, 1.5]))
         found = weigh_pose(base, read, pose, nulls, PRIOR)
         assert found.log_evidence <= found.attainable
-    if size == 0.0 and mode == "none":
-        base = replace(base, sample_field=FIELD.evaluate(base.samples).field)
-        right = weigh_pose(base, read, pose_at(base, read), nulls, PRIOR)
-        assert right.log_evidence == pytest.approx(right.attainable, abs=0.1)
+    base, read = replace(base, sample_field=FIELD.evaluate(base.samples).field), replace(target, sample_field=exact)
+    right = weigh_pose(base, read, pose_at(base, read), nulls, PRIOR)
+    assert right.log_evidence == pytest.approx(right.attainable, abs=0.1)
 
 
 def test_a_pose_off_the_map_has_neither_cells_nor_evidence(pair):
