@@ -20,15 +20,23 @@ EARTH = np.array([18e-6, 3e-6, -45e-6])
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """``B(x) = b + G x + x' Q x / 2``, T; weights are a constant field added to it."""
+    """``B(x) = b + G x + x' Q x / 2``, T; weights are a field added to it: a polynomial, or a constant."""
 
     constant: np.ndarray = field(default_factory=lambda: EARTH)
     linear: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     second: np.ndarray = field(default_factory=lambda: np.zeros((3, 3, 3)))
 
+    def plus(self, other):
+        """The sum of two fields."""
+        return Polynomial(self.constant + other.constant, self.linear + other.linear, self.second + other.second)
+
     def evaluate(self, points, order=0, weights=None):
-        constant = self.constant if weights is None else self.constant + weights
-        values = constant + points @ self.linear.T + 0.5 * np.einsum("abc,nb,nc->na", self.second, points, points)
+        if weights is not None:
+            added = weights if isinstance(weights, Polynomial) else Polynomial(weights)
+            return self.plus(added).evaluate(points, order)
+        values = (
+            self.constant + points @ self.linear.T + 0.5 * np.einsum("abc,nb,nc->na", self.second, points, points)
+        )
         gradient = self.linear + np.einsum("abc,nc->nab", self.second, points)
         return FieldValues(values, gradient if order else None)
 
@@ -39,6 +47,13 @@ class Polynomial:
         """The same field in another frame."""
         origin = self.evaluate(T_here_there.inv().translation[None], 1).rotated(T_here_there)
         return Polynomial(origin.field[0], origin.gradient[0], rotate_third_order(self.second[None], T_here_there)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A field map as far as its draws need it: its posterior, whose weights are what a draw differs by."""
+
+    posterior: Polynomial
 
 
 def some_field(seed, slope=8e-6, bend=8e-6):

@@ -27,14 +27,6 @@ def grid(field_map):
     return map_on_grid(field_map, 0.25)
 
 
-def test_grid_holds_what_the_map_says(field_map, grid):
-    i, j, k = 2, 1, 3
-    point = np.array([[grid.axes[0][i], grid.axes[1][j], grid.axes[2][k]]])
-    np.testing.assert_allclose(grid.field[i, j, k], field_map.evaluate(point).field[0], rtol=1e-9)
-    sd = np.sqrt(np.diagonal(field_map.covariance(point)[0]))
-    np.testing.assert_allclose(grid.sd[i, j, k], sd, rtol=1e-6)
-
-
 def test_vtk_reads_the_grid(grid, tmp_path):
     vtk = pytest.importorskip("vtk")
     from vtk.util.numpy_support import vtk_to_numpy

@@ -10,11 +10,14 @@ from magmatch.data.survey import Survey
 from magmatch.field.axis_grid import map_on_grid
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.field.map import FieldMap
 from magmatch.field.query import query_map
 from magmatch.geometry import random_transform, rotate_vectors, transform_points
 from magmatch.grid import RegularGrid
 
 T = random_transform(np.random.default_rng(5))
+NUMBERS = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=4e-6, noise_sd=2e-7, spacing=0.3)
+BOX = (0.2, 0.2, -1.0, 0.8, 0.8, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +25,7 @@ def here():
     rng = np.random.default_rng(0)
     x = rng.uniform(0, [1.5, 1.0, 0.4], (200, 3))
     b = np.array([18e-6, 3e-6, -45e-6]) + 4e-6 * np.column_stack([np.sin(3 * x[:, 1]), x[:, 2], np.cos(2 * x[:, 0])])
-    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=4e-6, noise_sd=2e-7, spacing=0.3)
-    return build_map(Survey(x, b + 2e-7 * rng.normal(size=x.shape)), numbers)
+    return build_map(Survey(x, b + 2e-7 * rng.normal(size=x.shape)), NUMBERS)
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +95,20 @@ def test_a_map_that_was_pickled_says_the_same(there):
     # A transform is brought to the nearest one whenever it is unpickled.
     np.testing.assert_allclose(again.evaluate(points, 1).field, there.evaluate(points, 1).field, rtol=1e-12)
     np.testing.assert_allclose(again.covariance(points), there.covariance(points), rtol=1e-9)
+
+
+def test_within_its_declared_box_a_map_is_as_ever_and_outside_the_prior_returns(here):
+    boxed = build_map(here.survey, NUMBERS.model_copy(update={"domain": BOX}))
+    points = np.array([[0.5, 0.5, 0.1], [0.9, 0.5, 0.1]])
+    np.testing.assert_array_equal(boxed.evaluate(points[:1]).field, here.evaluate(points[:1]).field)
+    np.testing.assert_array_equal(boxed.knows(points), [True, False])
+    nowhere = here.covariance(np.full((1, 3), 1e6))
+    np.testing.assert_allclose(boxed.covariance(points[1:]), nowhere)
+
+
+def test_the_box_moves_with_its_map_and_is_saved_with_it(here, tmp_path):
+    boxed = build_map(here.survey, NUMBERS.model_copy(update={"domain": BOX}))
+    points = np.random.default_rng(2).uniform(size=(100, 3))
+    boxed.transformed(T).save(tmp_path / "map")
+    for moved in (boxed.transformed(T), FieldMap.load(tmp_path / "map")):
+        np.testing.assert_array_equal(moved.knows(transform_points(points, T)), boxed.knows(points))

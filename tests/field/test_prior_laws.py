@@ -103,6 +103,33 @@ def test_covariance_is_symmetric_and_positive(posterior):
     assert np.linalg.eigvalsh(correlation).min() > -1e-6
 
 
+def test_covariance_of_the_gradient_comes_with_that_of_the_field(posterior):
+    q = np.concatenate([QUERIES, QUERIES + 40])
+    own, both = posterior.covariance(q), posterior.covariance(q, 1)
+    assert both.shape == (24, 12, 12)
+    np.testing.assert_allclose(both[:, :3, :3], own, atol=1e-8 * own.max())
+
+
+def test_draws_spread_no_wider_than_the_covariance_says_and_those_of_a_spline_as_wide(name, posterior):
+    q = QUERIES[:5]
+    draws = [posterior.evaluate(q, 0, w).field for w in posterior.draw_weights(1500, np.random.default_rng(1))]
+    ratio = np.var(draws, axis=0) / np.diagonal(posterior.covariance(q), axis1=1, axis2=2)
+    # 1,500 draws give a variance to 3.7 %.
+    assert ratio.max() < 1.12
+    # Draws of others leave out what lies between the nodes.
+    assert ratio.min() > (0.88 if name == "spline" else 0.02)
+
+
+def test_without_factors_the_mean_is_the_same(name, posterior):
+    q, mean = np.concatenate([QUERIES, QUERIES + 40]), posterior.without_factors()
+    for order in (0, 1):
+        np.testing.assert_array_equal(mean.evaluate(q, order).field, posterior.evaluate(q, order).field)
+    np.testing.assert_array_equal(mean.evaluate(q, 1).gradient, posterior.evaluate(q, 1).gradient)
+    if name == "spline":
+        with pytest.raises(RuntimeError, match="factors of this posterior are not kept"):
+            mean.covariance(q)
+
+
 def test_far_away_the_prior_returns(posterior):
     far = np.array([[30.0, 0.0, 0.0], [1e7, 1e7, 1e7]])
     covariance = posterior.covariance(far, 1)
@@ -121,9 +148,9 @@ def test_more_samples_never_make_it_less_certain(model, samples):
     assert np.linalg.eigvalsh(few - more).min() > -1e-9 * H.signal_sd**2
 
 
-def mapped(survey, name):
+def mapped(survey, name, domain=None):
     """What `build_map` does once the numbers are known."""
-    T_map_model, config = survey.principal_frame(), FieldConfig(prior=name)
+    T_map_model, config = survey.principal_frame(), FieldConfig(prior=name, domain=domain)
     posterior = fit_posterior(survey.transformed(T_map_model.inv()), H, config, T_map_model)
     return FieldMap(survey, posterior, T_map_model, config, T_map_model)
 
@@ -137,6 +164,19 @@ def test_the_map_turns_and_moves_with_its_survey(name, samples):
     np.testing.assert_allclose(there.gradient, here.gradient, rtol=0, atol=1e-6 * np.abs(here.gradient).max())
     spread = np.trace(turned.covariance(transform_points(QUERIES, T)), axis1=1, axis2=2)
     np.testing.assert_allclose(spread, np.trace(expected.covariance(QUERIES), axis1=1, axis2=2), rtol=1e-5)
+
+
+@pytest.mark.parametrize("box", [None, (0.0, 0.0, 0.0, 1.2, 1.2, 0.5)])
+def test_covariances_turn_with_the_map(name, box, samples):
+    here = mapped(Survey(*samples), name, box)
+    T, q = random_transform(np.random.default_rng(2)), np.concatenate([QUERIES, QUERIES + 40])
+    R = T.rotation.as_matrix()
+    both = np.zeros((12, 12))
+    both[:3, :3], both[3:, 3:] = R, np.kron(R, R)
+    for turn, order in ((R, 0), (both, 1)):
+        expected = turn @ here.covariance(q, order) @ turn.T
+        found = here.transformed(T).covariance(transform_points(q, T), order)
+        np.testing.assert_allclose(found, expected, atol=1e-7 * expected.max())
 
 
 @pytest.mark.parametrize("n", [1, 3])

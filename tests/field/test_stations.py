@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dipoles import dipoles
-from magmatch import FieldMap, Survey, build_map
+from magmatch import Survey, build_map
 from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.field.folds import has_path_order
 from magmatch.field.linear_model import is_refit
@@ -91,19 +91,3 @@ def test_rounding_of_a_quiet_field_is_no_other_field(stations, share, is_roundin
     made = build_map(Survey(points, field), config)
     samples = made.survey.transformed(made.T_map_model.inv())
     assert is_refit(made.posterior, made.posterior.weights * (1 + share), samples.positions) == is_rounding
-
-
-@pytest.mark.slow
-def test_a_quiet_field_is_mapped_saved_and_asked(tmp_path):
-    """1 nT of noise on 48 uT: rounding of the whole is a share of it that no check may take for another field."""
-    x, y = np.meshgrid(np.arange(0, 60, 0.1), np.arange(0, 40, 1.0))
-    x[1::2] = x[1::2, ::-1]
-    points = np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)])
-    rng = np.random.default_rng(8)
-    points = points + 0.003 * rng.normal(size=points.shape)
-    field = field_of(points, rng.uniform([0, 0, -3], [60, 40, -0.8], (40, 3)), 10 * rng.normal(size=(40, 3)))
-    made = build_map(Survey(points, field + 1e-9 * rng.normal(size=field.shape)), SPLINE)
-    made.save(tmp_path / "site.map")
-    asked = points[::997]
-    sd = np.sqrt(np.diagonal(FieldMap.load(tmp_path / "site.map").covariance(asked), axis1=1, axis2=2))
-    assert 1e-11 < np.median(sd) < 1e-8

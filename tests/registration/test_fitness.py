@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The published check of a transform."""
+"""The published check of a transform, and the decision by it."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,9 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import exp_se3
 from magmatch.geometry import random_transform
-from magmatch.published.fitness import FitnessConfig, fitness, mean_misalignment
+from magmatch.published.fitness import Fitness, FitnessConfig, fitness, mean_misalignment
+from magmatch.registration.published_answer import verdict_of
+from magmatch.registration.result import Status
 
 
 @pytest.mark.parametrize(("angle_deg", "value"), [(30, 0.5), (90, 1.0), (150, 1.0), (180, 1.0)])
@@ -47,3 +49,17 @@ def test_the_printed_check_is_a_mean_cross_product(make_exact_pair):
     check = fitness(base, target.survey, T * exp_se3(np.array([0, 0, 0.05, 0, 0, 0])))
     assert check.passes(FitnessConfig(max_cross=1.01 * check.cross))
     assert not check.passes(FitnessConfig(max_cross=0.99 * check.cross, max_fitness=9.0))
+
+
+@pytest.mark.parametrize(
+    ("fitness", "overlap", "status"),
+    [
+        (None, 0.0, Status.UNINFORMATIVE),
+        (0.01, 0.0499, Status.NO_OVERLAP),
+        (0.1001, 0.9, Status.INCONSISTENT),
+        (0.1, 0.05, Status.ACCEPTED),
+    ],
+)
+def test_published_rule_looks_at_fitness_and_overlap_alone(fitness, overlap, status):
+    check = None if fitness is None else Fitness(fitness, overlap)
+    assert verdict_of(check, FitnessConfig()).status is status

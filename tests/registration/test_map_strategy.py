@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What settling a probable pose adds to its covariance, and what it leaves."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from hand_made import Polynomial, box, prepared_map, some_field
+from hand_made import Drawn, box, prepared_map, some_field
+from magmatch.estimation.pose_prior import FAR2
 from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.refine.refinement import RefinementConfig, refine
-from magmatch.registration.refine.sensors import SensorConfig
+from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, map_covariance
 from magmatch.registration.weigh.evidence import Change, weigh_pose
@@ -23,13 +24,6 @@ FIELD = some_field(3, slope=10e-6)
 REFINEMENT = RefinementConfig(sensor=SensorConfig(mode="none"))
 CONFIG = RegistrationConfig(refinement=REFINEMENT)
 T_BASE, T_TARGET = random_transform(RNG), random_transform(RNG)
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A field map as far as settling asks: its posterior, and how its draws differ from it."""
-
-    posterior: Polynomial
 
 
 def settled(spread=0.0, **changes):
@@ -60,7 +54,24 @@ def test_a_pose_is_stated_as_its_cells_show_it_in_the_surveys_frames():
     expected = T_BASE * best.T_base_target * T_TARGET.inv()
     np.testing.assert_allclose(stated.T_base_target.as_matrix(), expected.as_matrix(), atol=1e-12)
     np.testing.assert_allclose(stated.covariance, in_survey_axes(best.covariance), rtol=1e-9)
-    assert (support.n_inliers, support.residual) == (best.n_good, best.residual)
+    assert (support.n_inliers, support.residual, support.sensor) == (best.n_good, best.residual, None)
+
+
+def test_links_join_the_samples_that_the_base_explains_and_sensors_differ_in_the_targets_survey_axes():
+    pair, strategy, best = settled()
+    D = np.array([[0.02, 0.01, 0.0], [0.0, -0.01, 0.03], [0.01, 0.0, 0.005]])
+    sensor = identical_sensors(SensorConfig(mode="full"), 1).stepped(np.array([1e-6, 2e-6, -1e-6, *D.ravel()]))
+    half = np.arange(300) % 2 == 0
+    block = replace(best.pose.blocks[0], positions=pair.target.samples, residual2=FAR2 * np.where(half, 0.99, 1.01))
+    pose = replace(best.pose, sensor=sensor, sensor_sd=np.full(12, 1e-6), blocks=(block,))
+    stated, support = strategy.state(pair, replace(best, pose=pose))
+    np.testing.assert_allclose(support.links.target, T_TARGET.apply(pair.target.samples[half]), atol=1e-12)
+    np.testing.assert_allclose(support.links.base, stated.T_base_target.apply(support.links.target), atol=1e-12)
+    R = T_TARGET.rotation.as_matrix()
+    np.testing.assert_allclose(support.sensor["bias"], R @ [1e-6, 2e-6, -1e-6], atol=1e-15)
+    np.testing.assert_allclose(support.sensor["gain"], R @ (np.eye(3) + D) @ R.T, atol=1e-12)
+    assert support.sensor["scale"] == pytest.approx(1 + np.trace(D) / 3)
+    assert support.sensor["prior_sd"] == [1e-6] * 12
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-6])

@@ -12,7 +12,7 @@ from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import log_odds
 from magmatch.field.build import build_map
-from magmatch.field.config import SPLINE
+from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
@@ -44,7 +44,8 @@ def test_a_walk_is_compared_with_every_sample_that_was_given():
 def test_the_likelier_of_two_looks_at_one_map_counts():
     # A line that crosses itself is looked at as a map and, where that is refused, as a walk.
     made, config = simulate("corridor", 0, SimulationConfig(n_samples=300)), RegistrationConfig()
-    base = prepare_index(build_map(made.base, SPLINE), config)
+    numbers = FieldConfig(prior="spline", lengthscale=1.0, signal_sd=8e-6, noise_sd=4e-7, spacing=0.5)
+    base = prepare_index(build_map(made.base, numbers), config)
     both, walk = (
         register_once(base, made.target, made.target, config.model_copy(update={"search": search}), 0, Clock())[2]
         for search in ("auto", "pairs")
@@ -142,12 +143,19 @@ def test_halves_are_refined_where_there_is_evidence_for_the_place_alone():
 def test_a_doubtful_pose_is_stated_as_it_was_weighed():
     strategy = HandMadeStrategy()
     best, rival = shifted(0.0, log_evidence=100.0), shifted(5.0, log_evidence=99.0)
-    result = decided([best, rival], strategy=strategy)
+    result = decided([best, rival], log_odds(95.0, 1.0, "map"), strategy)
     assert [what for what, _ in strategy.asked] == ["state"]
     assert result.status is Status.AMBIGUOUS
     shown = [a.T_base_target.translation[0] for a in result.alternatives]
     np.testing.assert_allclose(shown, [1.0, 6.0])
-    assert sum(a.probability for a in result.alternatives) == pytest.approx(1, abs=1e-6)
+    assert [a.log_odds for a in result.alternatives] == [100.0, 99.0]
+    first, second = (a.probability for a in result.alternatives)
+    assert (result.probability, result.T_base_target, result.covariance) == (first, None, None)
+    said = result.evidence
+    assert said["lead"] == pytest.approx(np.log(first / second))
+    # Of other poses and other maps together.
+    assert said["probability_elsewhere"] > second
+    assert first + said["probability_elsewhere"] + said["probability_unrelated"] == pytest.approx(1)
 
 
 def test_the_most_probable_is_decided_on_wherever_it_stands():

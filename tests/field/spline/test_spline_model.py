@@ -52,6 +52,26 @@ def test_inference_equals_dense_bayesian_regression(fitted):
     np.testing.assert_allclose(small.evaluate(q).field.ravel(), gain @ b[few_points].ravel(), atol=1e-10)
     covariance = K[n:, n:] - gain @ K[:n, n:]
     np.testing.assert_allclose(small.covariance(q)[0], covariance[:3, :3], rtol=0, atol=1e-5 * covariance.max())
+    # To a thousandth.
+    np.testing.assert_allclose(H.noise_sd**2 * small.influence(q), covariance, atol=1e-3 * covariance.max())
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_few_points_by_solves_and_many_by_the_selected_inverse_agree(fitted, order):
+    model, _, x, b = fitted
+    posterior, q = model.infer(model.observe(x, b)), np.r_[x[:5] + 0.01, [[40.0, 0.0, 0.0]]]
+    by_solves = posterior.covariance(q, order)
+    assert "_selected_inverse" not in vars(posterior)
+    many = posterior.covariance(np.tile(q, (400, 1)), order)
+    assert "_selected_inverse" in vars(posterior)
+    np.testing.assert_allclose(by_solves, many[:6], atol=1e-9 * by_solves.max())
+    assert np.array_equal(by_solves, posterior.covariance(q, order))
+
+
+def test_no_points_have_no_covariance(fitted):
+    nothing = np.zeros((0, 3))
+    assert fitted[1].covariance(nothing, 1).shape == (0, 12, 12)
+    assert fitted[1].influence(nothing).shape == (0, 0)
 
 
 def test_weights_scale_each_sample_as_repetition_does(fitted):

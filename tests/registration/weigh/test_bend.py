@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the halves of a target say of its pose: nothing of a rigid one, how it bends of one that drifts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.spatial.transform import RigidTransform
 
-from hand_made import Polynomial, WeighedPose, prepared_map, some_field
+from hand_made import Drawn, WeighedPose, prepared_map, some_field
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.refine.sensors import SensorConfig
 from magmatch.registration.weigh.bend import Bend, bend_of_map, bend_of_walk
@@ -97,64 +96,55 @@ def as_map(walk, seed=0):
     return replace(away, samples=walk.positions, sample_field=walk.field + noise)
 
 
-def bend_as_map(base, target):
-    T, config = base.truth, RefinementConfig(sensor=SensorConfig(mode="none"))
-    pose = refine(base.map, target, T, PosePrior(100.0), config, np.random.default_rng(0), -1)
-    return bend_of_map(base.map, target, pose, PosePrior(100.0), config, 0)
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A field map as far as its draws need it: constants beside its field."""
-
-    posterior: Polynomial
-
-
-@dataclass(frozen=True)
-class Place:
-    """A base whose own error is a constant field of some size (T), and where the walk is in it."""
-
-    map: PreparedMap
-    truth: RigidTransform
-
-
 FINE = np.linspace(0, 4 * np.pi, 400)
 FINE_PATH = np.column_stack([0.15 * FINE, 0.5 * np.sin(FINE), 0.2 * np.cos(FINE)])
+T_THERE = random_transform(np.random.default_rng(4), 1.0)
 
 
-def placed(error=1e-8):
-    T, rng = random_transform(np.random.default_rng(4), 1.0), np.random.default_rng(5)
-    base, draws = some_map(3, T.apply(FINE_PATH)), [error * rng.standard_normal(3) for _ in range(8)]
-    return Place(replace(base, field_map=Drawn(base.posterior), draws=lambda: draws, correlation_length=0.3), T)
+def a_base(error=1e-8):
+    """A map along the path, whose own error is a constant field of some size (T)."""
+    rng = np.random.default_rng(5)
+    base, draws = some_map(3, T_THERE.apply(FINE_PATH)), [error * rng.standard_normal(3) for _ in range(8)]
+    return replace(base, field_map=Drawn(base.posterior), draws=lambda: draws, correlation_length=0.3)
+
+
+def bend_as_map(base, target):
+    prior, config = PosePrior(100.0), RefinementConfig(sensor=SensorConfig(mode="none"))
+    pose = refine(base, target, T_THERE, prior, config, np.random.default_rng(0), -1)
+    return bend_of_map(base, target, pose, prior, config, 0)
+
+
+def walk_that_bends(base, xi):
+    return bent(walk_through(base, T_THERE, FINE_PATH), np.asarray(xi), FINE_PATH.mean(axis=0))
+
+
+XI = np.array([0.02, -0.03, 0.05, 0.03, -0.02, 0.04])
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_samples_of_a_map_bend_as_a_walk_does(size):
-    place, xi = placed(), size * np.array([0.02, -0.03, 0.05, 0.03, -0.02, 0.04])
-    bend = bend_as_map(
-        place, as_map(bent(walk_through(place.map, place.truth, FINE_PATH), xi, FINE_PATH.mean(axis=0)))
-    )
+    base = a_base()
+    bend = bend_as_map(base, as_map(walk_that_bends(base, size * XI)))
     assert (bend.probability > 0.99) == (size > 0)
-    np.testing.assert_allclose(bend.xi, xi, atol=6e-3)
+    np.testing.assert_allclose(bend.xi, size * XI, atol=6e-3)
 
 
 def test_what_the_base_does_not_know_between_its_samples_and_what_positions_drift_by_may_bend_a_map_too():
-    xi = np.array([0.02, -0.03, 0.05, 0.03, -0.02, 0.04])
-    walk = bent(walk_through(placed().map, placed().truth, FINE_PATH), xi, FINE_PATH.mean(axis=0))
-    known = bend_as_map(placed(), as_map(walk))
-    vague = bend_as_map(placed(error=3e-6), as_map(walk))
+    base = a_base()
+    walk = walk_that_bends(base, XI)
+    known, vague = (bend_as_map(one, as_map(walk)) for one in (base, a_base(error=3e-6)))
     assert vague.half_chi2 < known.half_chi2 / 10
     one = Drift(0.1, 0.1, np.zeros(len(FINE_PATH), dtype=np.int64), np.ones((1, 1)))
-    walk = bent(walk_through(placed().map, placed().truth, FINE_PATH), [0, 0, 0, *xi[3:]], FINE_PATH.mean(axis=0))
-    assert bend_as_map(placed(), as_map(walk)).probability > 0.99
-    stated = bend_as_map(placed(), replace(as_map(walk), drift=one))
+    walk = walk_that_bends(base, [0, 0, 0, *XI[3:]])
+    assert bend_as_map(base, as_map(walk)).probability > 0.99
+    stated = bend_as_map(base, replace(as_map(walk), drift=one))
     assert np.sqrt(np.diag(stated.covariance)[3:]).min() > 0.9 * np.sqrt(2) * 0.1
     assert stated.probability < 0.99
 
 
 def test_samples_in_no_order_have_no_halves():
-    place, order = placed(), np.random.default_rng(0).permutation(len(FINE_PATH))
-    assert bend_as_map(place, as_map(walk_through(place.map, place.truth, FINE_PATH[order]))) is None
+    base, order = a_base(), np.random.default_rng(0).permutation(len(FINE_PATH))
+    assert bend_as_map(base, as_map(walk_through(base, T_THERE, FINE_PATH[order]))) is None
 
 
 @given(st.integers(0, 10_000))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Covariances of a pose: what cells and drift make of it, which encloses another."""
+"""Covariances of a pose: what cells, drift and unknown maps make of it, which encloses another."""
 
 from dataclasses import replace
 
@@ -9,10 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock
+from hand_made import Drawn, Polynomial, box, prepared_map, some_field
+from magmatch.estimation.pose_prior import PosePrior
+from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, ResidualBlock, refine, step_between
 from magmatch.registration.refine.sensors import TIED_SD, SensorConfig, identical_sensors
-from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance
+from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance, map_covariance
 
+NO_SENSOR = SensorConfig(mode="none")
 SCALE = np.array([1e-3, 2e-3, 1e-3, 0.01, 0.03, 0.02])
 
 
@@ -44,7 +47,7 @@ def test_a_direction_that_is_known_exactly_is_kept():
 def pose_with(blocks, prior=None, center=(0.0, 0.0, 0.0)):
     """A pose whose sensor is known."""
     known = np.zeros((6, 6)) if prior is None else prior
-    sensor = identical_sensors(SensorConfig(mode="none"), -1)
+    sensor = identical_sensors(NO_SENSOR, -1)
     return RefinedPose(RigidTransform.identity(), np.array(center), sensor, np.full(3, 1.0), known, tuple(blocks))
 
 
@@ -135,3 +138,32 @@ def test_a_pose_follows_drift_whether_or_not_its_sensor_is_known_beforehand():
     pose = pose_with([block_of(J, rng.normal(size=200), rng.uniform(0, 1, (200, 3)), drift)])
     tied = replace(pose, sensor_sd=np.full(3, TIED_SD))
     np.testing.assert_allclose(drift_covariance(tied), drift_covariance(pose), rtol=1e-6)
+
+
+@pytest.mark.parametrize("sizes", [(2e-8, 0.0), (1e-8, 2e-8)])
+def test_poses_in_drawn_maps_scatter_as_the_covariance_says(sizes):
+    """Draws so small that one linear step is all; the tail bends less than it weighs by a tenth."""
+    rng, field, config = np.random.default_rng(1), some_field(3, slope=10e-6), RefinementConfig(sensor=NO_SENSOR)
+    maps, errors = [], []
+    for size in sizes:
+        drawn = [
+            Polynomial(size * rng.standard_normal(3), some_field(k, slope=size).linear)
+            for k in rng.integers(0, 999, 6)
+        ]
+        prepared = prepared_map(field, box(rng, 150), noise_sd=0.3e-6, sd=1e-6, spacing=0.05)
+        maps.append(replace(prepared, field_map=Drawn(field), draws=lambda drawn=drawn: drawn))
+        errors.append(drawn)
+    base, target = maps
+
+    def refined(base, target):
+        start = RigidTransform.identity()
+        return refine(base, target, start, PosePrior(10.0), config, np.random.default_rng(0), -1)
+
+    best = refined(base, target)
+    in_drawn = [refined(replace(base, posterior=field.plus(error)), target) for error in errors[0]]
+    in_drawn += [refined(base, replace(target, posterior=field.plus(error))) for error in errors[1]]
+    steps = np.array([step_between(best, pose) for pose in in_drawn])
+    expected = steps.T @ steps / 6
+    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    stated = map_covariance(base, target, best, config, seed=0)
+    np.testing.assert_allclose(stated / scale, expected / scale, atol=0.1)

@@ -95,11 +95,10 @@ def test_evidence_does_not_change_with_the_frames(pair):
         assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-6), name
 
 
-@pytest.mark.parametrize("turn", [0.0, 0.7])
-def test_evidence_does_not_change_when_the_surveys_are_swapped(turn):
+def test_evidence_does_not_change_when_the_surveys_are_swapped():
     """Two surveys of one size, each half in the other; what is left is by how the prior is spread."""
     rng = np.random.default_rng(3)
-    T = turn_about(np.zeros(3), np.array([0.0, 0.0, turn, 0.6, 0.0, 0.0]))
+    T = turn_about(np.zeros(3), np.array([0.0, 0.0, 0.7, 0.6, 0.0, 0.0]))
     base = prepared_map(FIELD, box(rng, 300), rng, length=0.5)
     target = seen_from(prepared_map(FIELD, box(rng, 300) + np.array([0.6, 0.0, 0.0]), rng, length=0.5), T.inv())
     one, other = (
