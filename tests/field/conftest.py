@@ -5,6 +5,9 @@ import numpy as np
 import pytest
 
 from dipoles import dipoles
+from magmatch.data.survey import Survey
+from magmatch.field.build import build_map
+from magmatch.field.config import FieldConfig
 
 EARTH = np.array([18e-6, 2e-6, -44e-6])
 
@@ -34,3 +37,10 @@ def dipoles_at():
 def room():
     """Function that gives positions in a box and a noisy field there."""
     return samples_of_dipoles
+
+
+@pytest.fixture(scope="session")
+def small_map():
+    """A map of few samples by given numbers, made at once."""
+    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=8e-6, noise_sd=5e-7, spacing=0.3)
+    return build_map(Survey(*samples_of_dipoles(n=200, box=(1.5, 1.0, 0.4))), numbers)

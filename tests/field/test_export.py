@@ -7,24 +7,13 @@ import pytest
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError
 from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
-from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.values import FieldValues
 
 
 @pytest.fixture(scope="module")
-def field_map():
-    rng = np.random.default_rng(4)
-    p = rng.uniform(0, [2.0, 1.5, 0.8], (150, 3))
-    b = np.array([20e-6, 0, -40e-6]) + 3e-6 * np.column_stack([np.sin(3 * p[:, 0]), np.cos(2 * p[:, 1]), p[:, 2]])
-    numbers = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=3e-6, noise_sd=1e-7, spacing=0.3)
-    return build_map(Survey(p, b, frame="hall"), numbers)
-
-
-@pytest.fixture(scope="module")
-def grid(field_map):
-    return map_on_grid(field_map, 0.25)
+def grid(small_map):
+    return map_on_grid(small_map, 0.12)
 
 
 def test_vtk_reads_the_grid(grid, tmp_path):
@@ -46,18 +35,18 @@ def test_vtk_reads_the_grid(grid, tmp_path):
     np.testing.assert_allclose(image.GetPoint(number), [grid.axes[0][2], grid.axes[1][1], grid.axes[2][3]])
 
 
-def test_xarray_reads_the_grid_and_a_slice(field_map, grid, tmp_path):
+def test_xarray_reads_the_grid_and_a_slice(small_map, grid, tmp_path):
     xr = pytest.importorskip("xarray")
     write_netcdf(grid, tmp_path / "map.nc", "hall")
     with xr.open_dataset(tmp_path / "map.nc", engine="scipy") as dataset:
         np.testing.assert_array_equal(dataset.bz.transpose("x", "y", "z"), grid.field[..., 2])
         assert dataset.bx.units == "T"
         assert dataset.attrs["frame"] == "hall"
-    cut = map_on_grid(field_map, 0.1, ("z", 0.4))
+    cut = map_on_grid(small_map, 0.1, ("z", 0.2))
     write_netcdf(cut, tmp_path / "cut.nc", "hall")
     with xr.open_dataset(tmp_path / "cut.nc", engine="scipy") as dataset:
         assert dataset.bx.dims == ("x", "y")
-        assert float(dataset.z) == pytest.approx(0.4)
+        assert float(dataset.z) == pytest.approx(0.2)
 
 
 def test_ply_holds_the_points_the_map_knows(grid, tmp_path):
@@ -68,9 +57,9 @@ def test_ply_holds_the_points_the_map_knows(grid, tmp_path):
     assert len(body) == n * 9 * 8
 
 
-def test_a_grid_of_billions_is_refused(field_map):
+def test_a_grid_of_billions_is_refused(small_map):
     with pytest.raises(ConfigurationError, match="larger one"):
-        map_on_grid(field_map, 1e-4)
+        map_on_grid(small_map, 1e-4)
 
 
 class Anything:

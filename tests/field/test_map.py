@@ -6,31 +6,27 @@ import pickle
 import numpy as np
 import pytest
 
-from magmatch.data.survey import Survey
 from magmatch.field.axis_grid import map_on_grid
 from magmatch.field.build import build_map
-from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.field.query import query_map
 from magmatch.geometry import random_transform, rotate_vectors, transform_points
 from magmatch.grid import RegularGrid
 
 T = random_transform(np.random.default_rng(5))
-NUMBERS = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=4e-6, noise_sd=2e-7, spacing=0.3)
-BOX = (0.2, 0.2, -1.0, 0.8, 0.8, 1.0)
 
 
 @pytest.fixture(scope="module")
-def here():
-    rng = np.random.default_rng(0)
-    x = rng.uniform(0, [1.5, 1.0, 0.4], (200, 3))
-    b = np.array([18e-6, 3e-6, -45e-6]) + 4e-6 * np.column_stack([np.sin(3 * x[:, 1]), x[:, 2], np.cos(2 * x[:, 0])])
-    return build_map(Survey(x, b + 2e-7 * rng.normal(size=x.shape)), NUMBERS)
+def boxed(small_map):
+    """The same map, declared for a box."""
+    return build_map(
+        small_map.survey, small_map.config.model_copy(update={"domain": (0.2, 0.2, -1.0, 0.8, 0.8, 1.0)})
+    )
 
 
 @pytest.fixture(scope="module")
-def there(here):
-    return here.transformed(T)
+def there(small_map):
+    return small_map.transformed(T)
 
 
 @pytest.mark.parametrize("is_aligned", [True, False])
@@ -72,16 +68,17 @@ def test_a_grid_for_other_programs_is_the_same_in_parts(there, monkeypatch):
     np.testing.assert_array_equal(parts.is_known, whole.is_known)
 
 
-def test_draws_turn_with_the_map_and_scatter_about_its_mean(here, there):
+def test_draws_turn_with_the_map_and_scatter_about_its_mean(small_map, there):
     points = np.random.default_rng(3).uniform(0, [1.5, 1.0, 0.4], (5, 3))
     drawn, moved = (
-        m.draw(p, 300, 1, np.random.default_rng(4)) for m, p in ((here, points), (there, transform_points(points, T)))
+        m.draw(p, 300, 1, np.random.default_rng(4))
+        for m, p in ((small_map, points), (there, transform_points(points, T)))
     )
     np.testing.assert_allclose(moved[7].field, rotate_vectors(drawn[7].field, T), rtol=1e-6)
     with pytest.raises(ValueError, match="order"):
-        here.draw(points, 1, 3, np.random.default_rng(4))
-    off = np.array([d.field for d in drawn]) - here.evaluate(points).field
-    covariance = here.covariance(points)
+        small_map.draw(points, 1, 3, np.random.default_rng(4))
+    off = np.array([d.field for d in drawn]) - small_map.evaluate(points).field
+    covariance = small_map.covariance(points)
     for k in range(5):
         sd = np.sqrt(np.diag(covariance[k]))
         np.testing.assert_allclose(
@@ -97,17 +94,15 @@ def test_a_map_that_was_pickled_says_the_same(there):
     np.testing.assert_allclose(again.covariance(points), there.covariance(points), rtol=1e-9)
 
 
-def test_within_its_declared_box_a_map_is_as_ever_and_outside_the_prior_returns(here):
-    boxed = build_map(here.survey, NUMBERS.model_copy(update={"domain": BOX}))
+def test_within_its_declared_box_a_map_is_as_ever_and_outside_the_prior_returns(small_map, boxed):
     points = np.array([[0.5, 0.5, 0.1], [0.9, 0.5, 0.1]])
-    np.testing.assert_array_equal(boxed.evaluate(points[:1]).field, here.evaluate(points[:1]).field)
+    np.testing.assert_array_equal(boxed.evaluate(points[:1]).field, small_map.evaluate(points[:1]).field)
     np.testing.assert_array_equal(boxed.knows(points), [True, False])
-    nowhere = here.covariance(np.full((1, 3), 1e6))
+    nowhere = small_map.covariance(np.full((1, 3), 1e6))
     np.testing.assert_allclose(boxed.covariance(points[1:]), nowhere)
 
 
-def test_the_box_moves_with_its_map_and_is_saved_with_it(here, tmp_path):
-    boxed = build_map(here.survey, NUMBERS.model_copy(update={"domain": BOX}))
+def test_the_box_moves_with_its_map_and_is_saved_with_it(boxed, tmp_path):
     points = np.random.default_rng(2).uniform(size=(100, 3))
     boxed.transformed(T).save(tmp_path / "map")
     for moved in (boxed.transformed(T), FieldMap.load(tmp_path / "map")):

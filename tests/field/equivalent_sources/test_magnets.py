@@ -10,6 +10,7 @@ from magmatch.field.equivalent_sources.magnets import (
     magnet_charges,
 )
 
+NOISE = 0.4e-6
 RNG = np.random.default_rng(0)
 X = RNG.uniform(0, [1.0, 0.8, 0.1], (60, 3))
 AT, MOMENTS = RNG.uniform([0, 0, -0.3], [1.0, 0.8, -0.1], (4, 3)), RNG.normal(size=(4, 3))
@@ -27,8 +28,44 @@ def test_slopes_are_differences_of_the_field_as_a_dipole_moves():
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
 
 
+def over_a_floor():
+    x, y = np.meshgrid(np.arange(0, 1, 0.02), np.arange(0, 0.8, 0.1))
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.1)], axis=1)
+
+
+def test_magnets_that_are_found_explain_as_much_as_the_true_ones_however_many_and_close():
+    lanes, rng = over_a_floor(), np.random.default_rng(2)
+    magnets = np.c_[rng.uniform(0.1, 0.9, 10), rng.uniform(0.1, 0.7, 10), rng.uniform(-0.05, 0.06, 10)]
+    moments = 1e-7 * rng.normal(size=(10, 3))
+    field = dipoles(lanes, magnets, moments) + rng.normal(scale=NOISE, size=lanes.shape)
+
+    def left(at, moments):
+        """Beside what changes linearly."""
+        A, b = np.c_[np.ones(len(lanes)), lanes], field - dipoles(lanes, at, moments)
+        return np.linalg.norm(b - A @ np.linalg.lstsq(A, b)[0])
+
+    assert left(*find_magnets(lanes, field, 0.3)) <= left(magnets, moments)
+
+
+def test_noise_on_a_field_that_changes_linearly_shows_no_magnet():
+    lanes = over_a_floor()
+    field = lanes @ np.diag([2e-6, -1e-6, -1e-6]) + np.random.default_rng(0).normal(scale=NOISE, size=lanes.shape)
+    assert [part.shape for part in find_magnets(lanes, field, 0.3)] == [(0, 3), (0, 3)]
+
+
+def test_no_magnet_is_moved_onto_the_sample_that_it_would_explain():
+    lanes, at = over_a_floor(), np.array([[0.3, 0.4, 0.03]])
+    field = dipoles(lanes, at, 1e-7 * np.eye(3)[2:]) + np.random.default_rng(1).normal(scale=NOISE, size=lanes.shape)
+    field[[190, 290]] += [[0, 0, 60e-6], [40e-6, 0, 0]]
+    found, _ = find_magnets(lanes, field, 0.3)
+    assert len(found) > 1
+    assert np.linalg.norm(found - at, axis=1).min() < 0.01
+    # Half the distance of neighbours.
+    assert np.linalg.norm(found[:, None] - lanes, axis=2).min() > 0.01
+
+
 def test_magnets_and_their_moments_are_found_in_any_frame_and_unit():
-    lanes = np.stack(np.meshgrid(np.arange(0, 1, 0.04), np.arange(0, 0.8, 0.1), [0.1]), axis=-1).reshape(-1, 3)
+    lanes = over_a_floor()
     at, moment = np.array([0.31, 0.42, 0.02]), 1e-8 * np.array([0.5, 1.0, 3.0])
     b = dipoles(lanes, [at], [moment]) + 2e-7 * np.random.default_rng(1).normal(size=lanes.shape)
     turn = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
