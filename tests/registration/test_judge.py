@@ -3,11 +3,12 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 import magmatch as mm
 from hand_made import exp_se3, log_se3
 from magmatch.errors import ConfigurationError
+from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.field.config import SPLINE
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.index.map_index import prepare_index
@@ -106,6 +107,14 @@ def test_two_poses_that_fit_alike_are_ambiguous():
     result = mm.judge(base, target, [pair.T_base_target, twin])
     assert result.status is mm.Status.AMBIGUOUS
     assert len(result.alternatives) == 2
+
+
+def test_a_wrong_prior_does_not_force_a_wrong_answer(place):
+    wrong = place.T * RigidTransform.from_components([1.2, 0.9, 0.0], Rotation.from_euler("z", 120, degrees=True))
+    numbers = (*map(float, wrong.translation), *map(float, wrong.rotation.as_quat()))
+    known_roughly = PosePriorConfig(pose=numbers, sd_translation=0.2, sd_rotation=0.1)
+    for prior in (known_roughly, PosePriorConfig(is_gravity_aligned=True)):
+        assert not mm.register(place.base, place.target, mm.RegistrationConfig(prior=prior)).is_accepted
 
 
 def test_no_candidate_is_a_result_with_a_status(place):

@@ -134,15 +134,6 @@ def test_curl_vanishes_where_one_tile_answers_and_is_bounded_where_two_blend(fit
     assert np.all(curl <= 2 * steepest * differences.max(axis=1) + 1e-15)
 
 
-def test_samples_left_out_are_as_if_never_seen_in_any_order(fitted):
-    model, _, x, b = fitted
-    order = np.random.default_rng(0).permutation(len(x))
-    first, second, kept = np.array_split(order, 3)
-    rest = model.observe(x[order], b[order]) - model.observe(x[second], b[second]) - model.observe(x[first], b[first])
-    expected = model.infer(model.observe(x[kept], b[kept])).evaluate(x).field
-    assert np.abs(model.infer(rest).evaluate(x).field - expected).max() < 1e-8 * np.abs(b).max()
-
-
 @pytest.mark.slow
 def test_draws_have_the_posterior_covariance_and_agree_between_tiles(fitted):
     posterior, q = fitted[1], inside(12)

@@ -59,14 +59,18 @@ def whole(moved, ordinary, nulls):
     return weigh_pose(*moved[:2], ordinary, nulls, FLAT)
 
 
+def pose_beside(base, target, start, agrees=None, config=CONFIG):
+    """A pose refined beside a change, of samples that agree: all, unless others are named."""
+    agrees = np.ones(len(target.samples), dtype=bool) if agrees is None else agrees
+    return refine_beside_changes(base, target, start, agrees, FLAT, config, np.random.default_rng(0))
+
+
 @pytest.fixture(scope="module")
 def beside(moved, ordinary, nulls):
     base, target, T_model, _ = moved
     seen = compare_cells(base, target, T_model, target.sample_field, nulls.target)
     agrees = nulls.target.cells.holds(agreeing_cells(seen, nulls.target)[0])
-    return refine_beside_changes(
-        base, target, replace(ordinary, T_base_target=T_model), agrees, FLAT, CONFIG, np.random.default_rng(0)
-    )
+    return pose_beside(base, target, replace(ordinary, T_base_target=T_model), agrees)
 
 
 def distance(T, T_true, target):
@@ -94,10 +98,7 @@ def test_stated_drift_spreads_a_pose_beside_a_change_as_residuals_do(moved, ordi
     base, target, T_model, _ = moved
     n = len(target.samples)
     drifting = replace(target, drift=Drift(0.02, 0.02, np.arange(n), np.eye(n)))
-    agrees = np.ones(n, dtype=bool)
-    found = refine_beside_changes(
-        base, drifting, replace(ordinary, T_base_target=T_model), agrees, FLAT, CONFIG, np.random.default_rng(0)
-    )
+    found = pose_beside(base, drifting, replace(ordinary, T_base_target=T_model))
     plain = refine(base, drifting, T_model, FLAT, REFINEMENT, np.random.default_rng(0))
     forward = replace(plain, blocks=plain.blocks[:1])
     by_drift, by_residuals = (
@@ -110,9 +111,7 @@ def test_stated_drift_spreads_a_pose_beside_a_change_as_residuals_do(moved, ordi
 def test_a_wrong_pose_is_no_likelier_beside_a_change_than_a_field_of_its_own(moved, ordinary, beside):
     base, target, T_model, _ = moved
     wrong = T_model * perturbation(np.array([0.0, 0.0, 2.5, 0.3, 0.2, 0.0]), ordinary.center)
-    agrees = np.ones(len(target.samples), dtype=bool)
-    start = replace(ordinary, T_base_target=wrong)
-    found = refine_beside_changes(base, target, start, agrees, FLAT, CONFIG, np.random.default_rng(0))
+    found = pose_beside(base, target, replace(ordinary, T_base_target=wrong))
     assert found.log_ratio < 50.0
     assert beside.log_ratio > found.log_ratio + 200.0
 
@@ -214,8 +213,7 @@ def test_charges_that_stand_for_nothing_leave_turns_as_well_known_and_scores_tha
     rng = np.random.default_rng(2)
     base, target = (prepared_map(some_field(3, bend=40e-6), box(rng, 400), rng) for _ in range(2))
     ordinary = refine(base, target, RigidTransform.identity(), FLAT, REFINEMENT, rng)
-    config = ChangeConfig(n_samples=400, n_charges=100)
-    found = refine_beside_changes(base, target, ordinary, np.ones(400, dtype=bool), FLAT, config, rng)
+    found = pose_beside(base, target, ordinary, config=ChangeConfig(n_samples=400, n_charges=100))
     (block,), scores = found.pose.blocks, found.pose.blocks[0].scores[:, :6]
     # That the same data chose the charges counts sixteenfold.
     information = 16 * block.information[:6, :6]
@@ -244,8 +242,7 @@ def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):
 
 def test_too_few_samples_that_agree_give_no_pose(moved, ordinary):
     base, target, _, _ = moved
-    nothing = np.zeros(len(target.samples), dtype=bool)
-    assert refine_beside_changes(base, target, ordinary, nothing, FLAT, CONFIG, np.random.default_rng(0)) is None
+    assert pose_beside(base, target, ordinary, np.zeros(len(target.samples), dtype=bool)) is None
 
 
 def test_where_nothing_tells_of_the_pose_none_is_stated(moved, ordinary, monkeypatch):
@@ -259,5 +256,4 @@ def test_where_nothing_tells_of_the_pose_none_is_stated(moved, ordinary, monkeyp
         )
 
     monkeypatch.setattr(changes, "_look_up", as_out_of_the_base)
-    agrees = np.ones(len(target.samples), dtype=bool)
-    assert refine_beside_changes(base, target, ordinary, agrees, FLAT, CONFIG, np.random.default_rng(0)) is None
+    assert pose_beside(base, target, ordinary) is None

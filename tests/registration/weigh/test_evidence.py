@@ -22,21 +22,22 @@ HERE = RigidTransform.identity()
 SD = 0.2e-6
 
 
-def pair_of(seed=0):
-    rng = np.random.default_rng(seed)
-    base = prepared_map(FIELD, box(rng, 300, (2.6, 2.2, 1.4)), rng, sd=SD, length=0.5)
-    return base, prepared_map(FIELD, box(rng, 300), rng, length=0.5)
-
-
 @pytest.fixture(scope="module")
 def pair():
-    return pair_of()
+    rng = np.random.default_rng(0)
+    base = prepared_map(FIELD, box(rng, 300, (2.6, 2.2, 1.4)), rng, sd=SD, length=0.5)
+    return base, prepared_map(FIELD, box(rng, 300), rng, length=0.5)
 
 
 def pose_at(base, target, T=HERE, mode="none"):
     config = RefinementConfig(sensor=SensorConfig(mode=mode), n_steps=1)
     found = refine(base, target, T, PRIOR, config, np.random.default_rng(0), -1 if mode == "none" else 1)
     return replace(found, T_base_target=T, sensor=identical_sensors(config.sensor, -1 if mode == "none" else 1))
+
+
+def weighed(base, target, T=HERE):
+    """What speaks for a pose of sensors that are alike."""
+    return weigh_pose(base, target, pose_at(base, target, T), null_models_of(base, target), PRIOR)
 
 
 def test_evidence_is_odds_of_the_cells_and_the_share_of_all_poses_that_the_estimate_fills(pair):
@@ -81,7 +82,7 @@ def test_evidence_falls_by_half_the_sum_of_squares_of_what_the_sensors_must_diff
 def test_evidence_does_not_change_with_the_frames(pair):
     base, target = pair
     T = turn_about(np.zeros(3), np.array([0.01, -0.02, 0.01, 0.02, 0.0, -0.01]))
-    here = weigh_pose(base, target, pose_at(base, target, T), null_models_of(base, target), PRIOR)
+    here = weighed(base, target, T)
     # Cells are cubes of the model frames: these may change their axes, and their origins by whole cells.
     axes = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
     A, B = (
@@ -89,7 +90,7 @@ def test_evidence_does_not_change_with_the_frames(pair):
     )
     base, target = seen_from(base, A, sd=SD), seen_from(target, B)
     moved = A * T * B.inv()
-    there = weigh_pose(base, target, pose_at(base, target, moved), null_models_of(base, target), PRIOR)
+    there = weighed(base, target, moved)
     assert there.log_evidence == pytest.approx(here.log_evidence, rel=1e-6)
     for name in ("overlap", "residual", "misfit", "n_informative", "n_good"):
         assert getattr(there, name) == pytest.approx(getattr(here, name), rel=1e-6), name
@@ -101,10 +102,7 @@ def test_evidence_does_not_change_when_the_surveys_are_swapped():
     T = turn_about(np.zeros(3), np.array([0.0, 0.0, 0.7, 0.6, 0.0, 0.0]))
     base = prepared_map(FIELD, box(rng, 300), rng, length=0.5)
     target = seen_from(prepared_map(FIELD, box(rng, 300) + np.array([0.6, 0.0, 0.0]), rng, length=0.5), T.inv())
-    one, other = (
-        weigh_pose(a, b, pose_at(a, b, pose), null_models_of(a, b), PRIOR)
-        for a, b, pose in ((base, target, T), (target, base, T.inv()))
-    )
+    one, other = (weighed(*each) for each in ((base, target, T), (target, base, T.inv())))
     assert one.log_evidence > 20
     assert one.log_evidence == pytest.approx(other.log_evidence, rel=0.03)
     assert one.misfit == pytest.approx(other.misfit, rel=0.01)
@@ -112,7 +110,7 @@ def test_evidence_does_not_change_when_the_surveys_are_swapped():
 
 def test_evidence_does_not_change_with_the_unit_of_the_field(pair):
     base, target = pair
-    here = weigh_pose(base, target, pose_at(base, target), null_models_of(base, target), PRIOR)
+    here = weighed(base, target)
     unit = 100.0
 
     def in_unit(m):
@@ -124,21 +122,20 @@ def test_evidence_does_not_change_with_the_unit_of_the_field(pair):
         )
 
     base, target = in_unit(base), in_unit(target)
-    there = weigh_pose(base, target, pose_at(base, target), null_models_of(base, target), PRIOR)
+    there = weighed(base, target)
     assert there.log_evidence == pytest.approx(here.log_evidence, rel=1e-6)
     assert (there.n_good, there.n_informative) == (here.n_good, here.n_informative)
 
 
 def test_a_right_pose_leaves_residuals_of_size_one_and_a_wrong_one_none_that_agree(pair):
     base, target = pair
-    nulls = null_models_of(base, target)
-    right = weigh_pose(base, target, pose_at(base, target), nulls, PRIOR)
+    right = weighed(base, target)
     assert right.residual == pytest.approx(np.sqrt(0.3**2 / (2 * 0.3**2 + 0.2**2)), rel=0.1)
     assert right.overlap == 1.0
     assert right.good_share == 1.0
     assert right.log_evidence > 50
     turned = turn_about(np.zeros(3), np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0]))
-    wrong = weigh_pose(base, target, pose_at(base, target, turned), nulls, PRIOR)
+    wrong = weighed(base, target, turned)
     assert wrong.log_evidence < 0
     assert wrong.misfit > 5 * right.misfit
 
@@ -177,14 +174,13 @@ def test_no_pose_has_more_evidence_than_is_attainable(pair):
         found = weigh_pose(base, read, pose, nulls, PRIOR)
         assert found.log_evidence <= found.attainable
     base, read = replace(base, sample_field=FIELD.evaluate(base.samples).field), replace(target, sample_field=exact)
-    right = weigh_pose(base, read, pose_at(base, read), nulls, PRIOR)
+    right = weighed(base, read)
     assert right.log_evidence == pytest.approx(right.attainable, abs=0.1)
 
 
 def test_a_pose_off_the_map_has_neither_cells_nor_evidence(pair):
     base, target = pair
-    away = pose_at(base, target, RigidTransform.from_translation([30.0, 0, 0]))
-    found = weigh_pose(base, target, away, null_models_of(base, target), PRIOR)
+    found = weighed(base, target, RigidTransform.from_translation([30.0, 0, 0]))
     assert found.log_evidence == -np.inf
     assert (found.overlap, found.n_informative, found.good_share) == (0.0, 0, 0.0)
 

@@ -13,11 +13,6 @@ from magmatch.estimation.candidate_poses import CandidatePoses
 from magmatch.estimation.limits import MOST_DRAWN
 from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig, pose_prior
 from magmatch.geometry import perturbation, random_transform
-from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.refine.refinement import RefinementConfig
-from magmatch.registration.register import register
-from magmatch.registration.search.invariant_search import InvariantSearchConfig
 
 SD = np.array([0.1, 0.1, 0.1, 0.5, 0.5, 0.5])
 CENTER = np.array([0.4, -0.2, 0.7])
@@ -65,38 +60,6 @@ def test_a_prior_does_not_depend_on_the_frames_it_is_stated_in():
 def test_a_rough_pose_must_be_a_pose():
     with pytest.raises(ValueError, match="unit quaternion"):
         PosePriorConfig(pose=(0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0))
-
-
-@pytest.fixture(scope="module")
-def pair(make_exact_pair):
-    """One room seen twice, z up in both frames; the first map prepared for all targets."""
-    T = RigidTransform.from_components([0.7, -0.4, 0.2], Rotation.from_euler("z", 130, degrees=True))
-    base, target = make_exact_pair(11, T)
-    return prepare_index(base, FEW), target, T
-
-
-FEW = RegistrationConfig(
-    invariants=InvariantSearchConfig(n_anchors=100, n_coarse=80, n_fine=15),
-    refinement=RefinementConfig(n_samples=800, n_ranking_samples=200),
-)
-
-
-def registered(base, target, **prior):
-    return register(base, target, FEW.model_copy(update={"prior": PosePriorConfig(**prior)}))
-
-
-def numbers_of(T):
-    return (*map(float, T.translation), *map(float, T.rotation.as_quat()))
-
-
-def test_a_wrong_prior_does_not_force_a_wrong_answer(pair):
-    base, target, T = pair
-    off = RigidTransform.from_components([1.2, 0.9, 0.0], Rotation.from_euler("z", 120, degrees=True))
-    wrong = registered(base, target, pose=numbers_of(T * off), sd_translation=0.2, sd_rotation=0.1)
-    tilted = T * RigidTransform.from_rotation(Rotation.from_euler("x", 40, degrees=True))
-    leaning = target.transformed(tilted.inv() * T)
-    assert not wrong.is_accepted
-    assert not registered(base, leaning, is_gravity_aligned=True).is_accepted
 
 
 @pytest.mark.parametrize("k", range(6))
