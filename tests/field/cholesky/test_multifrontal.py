@@ -14,11 +14,7 @@ from magmatch.field.cholesky.selected_inverse import selected_inverse
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.spline.spline_prior import (
-    CONSTANT_SD,
-    outside_covariance,
-    smoothness_matrix,
-)
+from magmatch.field.spline.spline_prior import CONSTANT_SD, outside_covariance, smoothness_matrix
 from magmatch.threads import on_one_core
 from oracles.dense_matrix import to_dense
 

@@ -4,11 +4,7 @@
 import numpy as np
 
 from dipoles import dipoles
-from magmatch.field.equivalent_sources.magnets import (
-    dipole_slopes,
-    find_magnets,
-    magnet_charges,
-)
+from magmatch.field.equivalent_sources.magnets import dipole_slopes, find_magnets, magnet_charges
 
 NOISE = 0.4e-6
 RNG = np.random.default_rng(0)
