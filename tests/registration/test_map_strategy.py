@@ -72,6 +72,8 @@ def test_links_join_the_samples_that_the_base_explains_and_sensors_differ_in_the
     np.testing.assert_allclose(support.sensor["gain"], R @ (np.eye(3) + D) @ R.T, atol=1e-12)
     assert support.sensor["scale"] == pytest.approx(1 + np.trace(D) / 3)
     assert support.sensor["prior_sd"] == [1e-6] * 12
+    _, without = strategy.state(pair, replace(best, pose=replace(pose, blocks=())))
+    assert len(without.links.target) == 0
 
 
 @pytest.mark.parametrize("spread", [0.0, 1e-6])

@@ -1,36 +1,24 @@
 """Surveys that state how far their positions drift get answers that reckon with it."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from hand_made import box, prepared_map, some_field
+from hand_made import Polynomial, box, prepared_map, some_field
 from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePrior
-from magmatch.field.values import FieldValues
 from magmatch.registration.prepared.drift import Drift, white_variance
 from magmatch.registration.refine.refinement import RefinementConfig, refine
 from magmatch.registration.weigh.covariance import drift_covariance
 
-
-@dataclass(frozen=True)
-class Quadratic:
-    """A field whose gradient grows with the distance from the middle, T."""
-
-    scale: float = 1e-5
-
-    def evaluate(self, points, order=0):
-        x, y, z = points.T
-        field = np.stack([x**2 - y**2, -2 * x * y, 0 * z], axis=1)
-        gradient = np.zeros((len(points), 3, 3))
-        gradient[:, 0, 0], gradient[:, 0, 1], gradient[:, 1, 0], gradient[:, 1, 1] = 2 * x, -2 * y, -2 * y, -2 * x
-        return FieldValues(self.scale * field, self.scale * gradient)
+# 10 uT times (x^2 - y^2, -2 x y, 0): its gradient grows with the distance from the middle.
+BEND = np.zeros((3, 3, 3))
+BEND[0, 0, 0], BEND[0, 1, 1], BEND[1, 0, 1], BEND[1, 1, 0] = 2, -2, -2, -2
+QUADRATIC = Polynomial(np.zeros(3), second=1e-5 * BEND)
 
 
 def drift_along(positions, pose_sd):
-    return drift_of(positions, Quadratic().evaluate(positions).field, pose_sd, Quadratic())
+    return drift_of(positions, QUADRATIC.evaluate(positions).field, pose_sd, QUADRATIC)
 
 
 def drift_of(positions, field, pose_sd, posterior):
@@ -74,7 +62,7 @@ def test_errors_of_each_sample_are_told_from_those_that_last(noise_sd):
     own = 0.03 * rng.normal(size=x.shape)
     slow = 0.1 * np.sin(np.linspace(0, 12, len(x)))[:, None] * np.ones(3)
     noise = noise_sd * rng.normal(size=x.shape)
-    field = Quadratic()
+    field = QUADRATIC
     jumpy = field.evaluate(x + own).field + noise
     assert np.sqrt(white_variance(x, jumpy, field)) == pytest.approx(0.03, rel=0.1)
     smooth = field.evaluate(x + slow).field + noise

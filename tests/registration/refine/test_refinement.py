@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import Polynomial, box, prepared_map, some_field, turn_about
 from magmatch.estimation.pose_prior import PosePrior
-from magmatch.geometry import rotation_matrix
+from magmatch.geometry import rotation_matrix, transform_error
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.refine.refinement import (
     RefinedPose,
@@ -24,6 +24,8 @@ from magmatch.registration.refine.refinement import (
     step_between,
 )
 from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
+from magmatch.registration.weigh.cells import null_models_of
+from magmatch.registration.weigh.evidence import weigh_pose
 
 SAME = SensorConfig(mode="none")
 CONFIG = RefinementConfig(sensor=SAME)
@@ -178,3 +180,62 @@ def test_sums_over_cells_scatter_as_samples_do_where_those_are_independent_and_m
     J[:] = 1 + 0.1 * J
     # One direction of six, of as many samples as a cell holds.
     assert excess(rng.normal(size=125)[cell]) == pytest.approx(n / 125 / 6, rel=0.3)
+
+
+def test_the_jacobian_is_the_derivative_of_the_residual():
+    base, target = pair_of(n=60)
+    sensor, T = identical_sensors(SensorConfig(mode="scale"), 1), turn_about(np.zeros(3), np.full(6, 0.05))
+    pose = RefinedPose(T, target.samples.mean(axis=0), sensor, np.ones(4), np.zeros((6, 6)), ())
+    rows = np.arange(60), np.arange(60)
+
+    def residuals(xi):
+        return [side.residual for side in look_up(base, target, pose.stepped(xi), rows)]
+
+    steps = np.diag([1e-5] * 6 + [1e-9] * 3 + [1e-6])
+    for k, side in enumerate(look_up(base, target, pose, rows)):
+        numeric = np.stack([(residuals(e)[k] - residuals(-e)[k]) / (2 * e.max()) for e in steps], axis=2)
+        J = residual_jacobian(side, pose)
+        assert np.all(np.abs(numeric - J).max(axis=(0, 1)) < 1e-5 * np.abs(J).max(axis=(0, 1)))
+
+
+IRON = np.array([[1.06, 0.04, -0.02], [0.03, 0.96, 0.04], [-0.04, 0.02, 1.0]])
+BIAS = np.array([2e-6, -1e-6, 1.5e-6])
+
+
+def read_by_another_sensor(gain, bias):
+    """Two maps of a steep field, the target's read by a sensor of some gain and bias."""
+    field, rng = some_field(3, slope=40e-6, bend=80e-6), np.random.default_rng(0)
+    read = Polynomial(gain @ field.constant + bias, gain @ field.linear, np.einsum("ab,bcd->acd", gain, field.second))
+    return tuple(prepared_map(one, box(rng, 400), rng, spacing=0.05) for one in (field, read))
+
+
+def at_level(base, target, level):
+    """The pose with sensors that differ so freely, and its evidence."""
+    pose = refined(base, target, RigidTransform.identity(), config=RefinementConfig(), level=level)
+    return pose, weigh_pose(base, target, pose, null_models_of(base, target), FLAT).log_evidence
+
+
+@pytest.mark.parametrize(
+    ("gain", "level", "atol"), [(1.03 * np.eye(3), 1, 0.003), (IRON, 2, 0.01)], ids=["scale", "iron"]
+)
+def test_a_sensors_bias_scale_and_soft_iron_are_noticed_and_taken_off(gain, level, atol):
+    """A model that allows for less explains less: none that a bias and a scale, these that soft iron."""
+    maps = read_by_another_sensor(gain, BIAS)
+    (_, less), (pose, evidence) = (at_level(*maps, one) for one in (level - 1, level))
+    assert evidence > less
+    assert pose.T_base_target.rotation.magnitude() < 2e-3
+    np.testing.assert_allclose(pose.sensor.gain, gain, atol=atol)
+    np.testing.assert_allclose(pose.sensor.bias, BIAS, atol=0.2e-6)
+
+
+def test_like_sensors_are_left_alike_and_swapping_base_and_target_inverts_the_pose():
+    base, target = read_by_another_sensor(np.eye(3), np.zeros(3))
+    found = [at_level(base, target, level) for level in (0, 1, 2)]
+    assert found[0][1] > found[1][1] > found[2][1]
+    center = target.samples.mean(axis=0)
+    for level, (pose, _) in enumerate(found):
+        swapped, _ = at_level(target, base, level)
+        off, _ = transform_error(pose.T_base_target, RigidTransform.identity(), center)
+        distance, angle = transform_error(swapped.T_base_target.inv(), pose.T_base_target, center)
+        assert distance < 0.1 * off < 1e-3
+        assert angle < 1e-5
