@@ -99,7 +99,7 @@ def contenders(points, field, queries, length, signal):
     chosen = spline.choose_hyperparameters(points, field)
 
     def dense():
-        exact = DenseGP(kernel, points, field, NOISE_SD)
+        exact = DenseGP.fit(kernel, points, field, NOISE_SD)
         return np.concatenate([exact.mean(part).field for part in np.array_split(queries, 10)])
 
     runs = {"dense oracle": dense}

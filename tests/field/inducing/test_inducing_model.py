@@ -56,7 +56,7 @@ def test_inducing_points_at_all_samples_give_the_exact_model(dipoles_at):
     points = model.basis.grid.nodes
     field = dipoles_at(points)
     posterior = model.infer(model.observe(points, field))
-    exact = DenseGP(DivergenceFreeKernel(H.lengthscale, H.signal_sd), points, field, H.noise_sd, CONSTANT_SD)
+    exact = DenseGP.fit(DivergenceFreeKernel(H.lengthscale, H.signal_sd), points, field, H.noise_sd, CONSTANT_SD)
     x = np.concatenate([queries(), queries() * 4])
     sparse, dense = posterior.evaluate(x, 2), exact.mean(x, 2)
     for part in ("field", "gradient", "second"):
