@@ -277,6 +277,13 @@ def test_fixed_points_that_are_given_again_count_once(lone):
     assert len(session.places.anchors) == 1
 
 
+def test_seconds_of_a_stage_that_was_not_repeated_stay_as_they_were(lone):
+    session = mm.slam(lone.log.subset(slice(80)))
+    numbers = session.seconds["numbers"]
+    session.add_logs([])
+    assert session.seconds["numbers"] == numbers
+
+
 def test_fixed_points_of_a_log_whose_field_tells_nothing_stay_when_another_is_added(lone):
     log = lone.log.subset(slice(80))
     constant = replace(log, field=np.tile([2e-5, 0.0, -4.5e-5], (len(log), 1)), name="constant")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The session of slam and merge: logs and their graph."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -118,7 +119,7 @@ class Session:
         places.stated = places.stated.model_copy(update={"origin": origin})
         self.config = config.model_copy(update={"is_planar": places.stated.is_planar})
         self.given, self.places = given, places
-        self.seconds = {k: self.seconds.get(k, 0.0) + v for k, v in (self.seconds | clock.seconds()).items()}
+        self.seconds = dict(Counter(self.seconds) + Counter(clock.seconds()))
         self._changed()
         warn_of_a_wrong_point(places.graph, [anchor.source for anchor, _ in places.anchors])
         if places.maker is not None and config.is_gravity_aligned:
