@@ -126,7 +126,7 @@ def work(name, data, out):
             nees.append(float(off @ np.linalg.solve(C, off)) / d)
             first = float(walked[n]) if first is None and errors[-1] < RIGHT else first
         if belief._weighed and first is None:
-            T = belief._known.frame.T_map_model @ np.r_[belief._weighed[0].one["p"][0], 1.0]
+            T = belief._known.T_map_model @ np.r_[belief._weighed[0].one["p"][0], 1.0]
             limit = CONFIG.decision.tolerance(belief._known.length)[0]
             is_right = is_there and np.linalg.norm(T[:d] - true[n]) < max(limit, RIGHT)
             said.append([belief._found.best, bool(is_right)])

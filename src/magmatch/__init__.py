@@ -7,13 +7,12 @@ listed in `__init__.pyi`, or in `magmatch.published`, `magmatch.phones`, `magmat
 
 import re
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from magmatch._version import __version__ as __version__
 
-# Where each public name lives.
-_LISTING = Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+# Where each public name lives; the loader reads it in an archive, too.
+_LISTING = __loader__.get_data(f"{__path__[0]}/__init__.pyi").decode()
 _HOMES = {name: home for home, name in re.findall(r"^from (\S+) import (\w+)", _LISTING, re.MULTILINE)}
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605  (type checkers have the other file)

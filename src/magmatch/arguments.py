@@ -41,7 +41,7 @@ def numbers_of(values: Any, name: str, shape: str) -> np.ndarray:
     except Exception:  # whatever another library's array raises when it is asked for numbers
         _refuse(name, expected, f"a {type(values).__name__} that is no table of numbers", "give rows of equal length")
     if array.dtype.kind not in "iuf":
-        unknown = f"{found(values)} of dtype {array.dtype}", _OTHERS["b"][1]
+        unknown = f"{found(values)} of dtype {array.dtype}", "convert it to float64 first"
         kind, advice = _OTHERS.get(array.dtype.kind, unknown)
         if values is None:
             _refuse(name, expected, "None", "")

@@ -303,7 +303,7 @@ def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):
     for cell, node, middle in zip(cells, path.nodes, path.middles, strict=True):
         # To the last bit: nine digits of a Unix time are 10 s, and of a northing 1 cm.
         assert float(cell["t"]) == after.times[middle]
-        T = lone.session.graph.pose(node) * lone.session.now.body_at(node)[0]
+        T = lone.session.graph.pose(node) * lone.session._now.body_at(node)[0]
         assert [float(cell[k]) for k in "xyz"] == T.translation.tolist()
         np.testing.assert_allclose([float(cell[k]) for k in "xyz"], after.positions[middle], atol=1e-6)
         q = Rotation.from_quat([float(cell[f"q{k}"]) for k in "xyzw"])

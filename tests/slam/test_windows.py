@@ -136,7 +136,7 @@ def test_logs_that_odometry_may_bend_at_will_stay_as_they_came_and_are_told_why(
 @pytest.mark.parametrize("seed", range(2))
 def test_a_window_that_is_bent_by_half_a_field_length_is_found_and_known_for_what_it_is(lone, seed):
     """The field is not linear over so much: the shape has to be fitted for the evidence to be seen."""
-    places = lone.session.now
+    places = lone.session._now
     closure = max(places.graph.closures, key=lambda c: c.log_odds)
     one = places.paths[0].windows[closure.second]
     odometry = OdometryConfig(sd=(0.6, 8.0), scale_sd=0.0, turn_share=0.0)

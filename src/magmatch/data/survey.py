@@ -286,7 +286,12 @@ class Survey:
         length_unit: LengthUnit | None = None,
         time_unit: TimeUnit | None = None,
         columns: Mapping[str, str] | None = None,
-        **stated: Any,
+        *,
+        field_frame: FieldFrame = "survey",
+        frame: str | None = None,
+        name: str = "Dataset",
+        pose_sd: float | None = None,
+        origin: str | None = None,
     ) -> "Survey":
         """Survey from an xarray Dataset, with variables or coordinates named as the columns of the survey CSV.
 
@@ -312,7 +317,9 @@ class Survey:
             length_unit or said.get("x", "m"),
             time_unit or said.get("t", "s"),
         )
-        return cls.from_dataframe(table, *units, columns, **{"name": "Dataset", **stated})
+        return cls.from_dataframe(
+            table, *units, columns, field_frame=field_frame, frame=frame, name=name, pose_sd=pose_sd, origin=origin
+        )
 
     @classmethod
     def from_table(

@@ -52,7 +52,10 @@ class LastSample:
         """
         time = t if isinstance(t, float) else numbers_of(t, "t", "(), in s")
         z = numbers_of(b, "field", "(3,), in T")
-        fault = BAD_TIME if np.ndim(time) else BAD_FIELD if z.shape != (3,) else FINE
+        is_one = isinstance(time, float) or not np.ndim(
+            time
+        )  # asking NumPy of a float takes as long as all else here
+        fault = BAD_TIME if not is_one else BAD_FIELD if z.shape != (3,) else FINE
         if not fault:
             self.last["next_t"], self.last["next_T"], self.last["next_z"] = time, T, z
             fault = _take(self.last)

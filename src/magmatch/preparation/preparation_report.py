@@ -98,9 +98,16 @@ def _change(step: StepReport) -> str:
     """Figures before and after: in three digits, or in as many as show what was applied."""
     if step.before is None:
         return ""
-    figures = [value for value in (step.before, step.after) if value is not None]
-    said = [[f"{v:.0f}" if step.unit == "samples" else f"{v:.{n}g}" for v in figures] for n in range(3, 7)]
-    differing = next((pair for pair in said if len(set(pair)) > 1), said[0])
-    if len(figures) == 2 and len(set(differing)) == 1 and step.outcome == "applied":
-        return f"{differing[1]} {step.unit}, as before"
-    return f"{' -> '.join(differing)} {step.unit}".rstrip()
+    if step.after is None:
+        return f"{_figure(step.before, step.unit)} {step.unit}".rstrip()
+    for digits in range(3, 7):
+        before, after = (_figure(value, step.unit, digits) for value in (step.before, step.after))
+        if before != after:
+            return f"{before} -> {after} {step.unit}".rstrip()
+    if step.outcome == "applied":
+        return f"{_figure(step.after, step.unit)} {step.unit}, as before"
+    return f"{_figure(step.before, step.unit)} -> {_figure(step.after, step.unit)} {step.unit}".rstrip()
+
+
+def _figure(value: float, unit: str, digits: int = 3) -> str:
+    return f"{value:.0f}" if unit == "samples" else f"{value:.{digits}g}"

@@ -199,7 +199,7 @@ class Session:
         self._maps.clear()
 
     @property
-    def now(self) -> Places:
+    def _now(self) -> Places:
         """The present state, with the log that is being walked."""
         live = None if self._live is None else self._live.places
         places = live or self.places
@@ -211,17 +211,17 @@ class Session:
     @property
     def is_rigid(self) -> bool:
         """Whether each log is one node: merged, not corrected."""
-        return self.now.is_rigid
+        return self.places is not None and self.places.is_rigid
 
     @property
     def paths(self) -> list[Path]:
         """Each log divided into windows, without its sensor's bias."""
-        return self.now.paths
+        return self._now.paths
 
     @property
     def graph(self) -> PoseGraph:
         """The pose graph."""
-        return self.now.graph
+        return self._now.graph
 
     @cached_property
     def logs(self) -> list[Survey]:
@@ -236,7 +236,7 @@ class Session:
     @cached_property
     def trajectories(self) -> list[Survey]:
         """Each log with corrected positions, orientations and field, in the frame of its component."""
-        graph, origin, found = self.graph, self.now.stated.origin, []
+        graph, origin, found = self.graph, self._now.stated.origin, []
         for path, component in zip(self.paths, self.component_of, strict=True):
             frame = f"map_{component + 1}" if component else "map"
             if origin is not None and graph.is_fixed(path.first_node):
@@ -279,7 +279,7 @@ class Session:
 
     def result(self) -> SlamResult:
         """The result as a document; once a map is made it states the biases that were solved with it."""
-        places, names = self.now, self.names
+        places, names = self._now, self.names
         logs = tuple(self._state_log(k) for k in range(len(self.paths)))
         if not any(log.n_closures or log.is_fixed for log in logs):
             status = SlamStatus.UNCHANGED

@@ -58,7 +58,7 @@ def test_what_the_field_says_of_a_pose_is_apart_from_what_its_prediction_costs(n
 
 def test_a_closure_knows_height_and_lean_no_better_than_its_two_nodes_hold_them(lone):
     """Odometry that rises by centimetres would be contradicted by every closure, if the field shows millimetres."""
-    graph = lone.session.now.graph
+    graph = lone.session._now.graph
     assert graph.config.is_planar
     for closure in graph.closures:
         lean, height = closure.covariance[:2, :2], closure.covariance[5, 5]
@@ -69,7 +69,7 @@ def test_a_closure_knows_height_and_lean_no_better_than_its_two_nodes_hold_them(
 @pytest.fixture
 def near(lone):
     """A window that closes, its base, and where the graph would expect it, roughly."""
-    places = lone.session.now
+    places = lone.session._now
     closure = max(places.graph.closures, key=lambda c: c.log_odds)
     window = places.paths[0].windows[closure.second]
     T = places.graph.center(closure.first) * closure.T_first_second * window.T_log_node.inv()
@@ -112,7 +112,7 @@ def test_what_the_graph_predicts_is_not_in_what_the_field_alone_says(near):
 
 
 def test_a_pose_that_the_graph_knows_well_is_refined_without_a_search(lone, near, monkeypatch):
-    places = lone.session.now
+    places = lone.session._now
     sure = Rough(near.rough.T_base_log, near.rough.covariance * 0.3**2)
     assert sure.is_narrow(near.window.length)
     assert not near.rough.is_narrow(near.window.length)

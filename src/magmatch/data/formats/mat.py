@@ -198,7 +198,10 @@ def _leaves(content: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _require_parts(path: Path, name: str) -> None:
-    """Require that the variables of a name consist of the parts that their class has, of known types."""
+    """Require that the variables of a name consist of the parts that their class has, of known types.
+
+    SciPy reads numbers of no known type outside its memory.
+    """
     data = memoryview(path.read_bytes())
     order = "<" if bytes(data[126:128]) == b"IM" else ">"
     for kind, part in _parts(data[HEADER:], order):

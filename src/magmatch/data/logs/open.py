@@ -108,7 +108,7 @@ def _metadata(folder: Path) -> dict[str, Any]:
 def _files(folder: Path, about: dict[str, Any]) -> list[Path]:
     """Files of the recording in order; only names inside the folder are followed."""
     there = sorted(p.name for p in folder.iterdir() if p.is_file())
-    present = [folder / name for name in there if name.endswith(SUFFIXES)]
+    present = [folder / name for name in there if Path(name).suffix in SUFFIXES]
     if packed := [name for name in there if name.endswith((".db3.zstd", ".mcap.zstd"))]:
         message = f"its files are compressed as a whole; decompress them first (unzstd {packed[0]})"
         raise DataFormatError(folder, message)
@@ -117,6 +117,8 @@ def _files(folder: Path, about: dict[str, Any]) -> list[Path]:
         return present
     if not isinstance(named, list) or not all(isinstance(name, str) for name in named):
         raise DataFormatError(folder / METADATA, "expected a list of names in relative_file_paths")
+    if outside := [name for name in named if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name]:
+        raise DataFormatError(folder / METADATA, f"names a file outside the folder: {outside[0]!r}")
     names = list(dict.fromkeys(Path(name).name for name in named))  # old recorders wrote the folder in front
     if missing := [name for name in names if name not in there]:
         raise DataFormatError(folder / METADATA, f"names {missing[0]!r}, which is not in the folder; {REINDEX}")

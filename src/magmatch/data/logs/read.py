@@ -47,7 +47,9 @@ def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Record
     sensor = field.frames[0]
     if moving and sensor not in tree.frames():
         tree = with_description(log, topics, tree)
-    trajectory, (fixed, body), is_6d = _poses(log.path, layout, streams[1] if pose_topic else None, tree, sensor)
+    trajectory, (fixed, body), has_orientations = _poses(
+        log.path, layout, streams[1] if pose_topic else None, tree, sensor
+    )
     is_turned = bool(sensor) and sensor == fixed
     frame = layout.field_frame if "field_frame" in layout.model_fields_set else ("survey" if is_turned else "sensor")
     T_body_sensor = None
@@ -63,7 +65,7 @@ def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Record
         field=layout.turned(field.values[is_new] * TESLA_PER_UNIT[layout.field_unit]),
         trajectory=trajectory,
         field_frame=frame,
-        has_orientations=is_6d,
+        has_orientations=has_orientations,
         frame=fixed or "survey",
         poses_from=layout.trajectory,
         channels=read_numbers(log, topics, delay_ns) if with_channels else {},
@@ -80,18 +82,22 @@ def _poses(
     if stream is not None:
         entries = in_order(path, stream.topic.name, _of_one_frame(path, stream))
         return trajectory_of(path, entries).scaled(metre), entries.frames, entries.values.shape[1] == 7
-    fixed, body = tree.root_over(sensor), sensor
-    if layout.pose_frames:
-        fixed, _, body = (name.strip().lstrip("/") for name in layout.pose_frames.partition(","))
-        if "," in body or not (fixed and body) or fixed == body:
-            msg = f"--pose-frames: expected two frames such as map,base_link; found '{layout.pose_frames}'"
-            raise ConfigurationError(msg)
+    fixed, body = _pose_frames(layout.pose_frames) if layout.pose_frames else (tree.root_over(sensor), sensor)
     if fixed == body:
         known = ", ".join(tree.frames()[:12])
         message = f"tf does not know {sensor!r}, the frame of the field; it knows {known}: --pose-frames MAP,BODY"
         raise DataFormatError(path, message)
     logger.info("%s: poses of %s in %s from tf", path, body, fixed)
     return tree.trajectory(path, fixed, body).scaled(metre), (fixed, body), True
+
+
+def _pose_frames(text: str) -> Frames:
+    """Two names of frames."""
+    names = [name.strip().lstrip("/") for name in text.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        msg = f"--pose-frames: expected two frames such as map,base_link; found '{text}'"
+        raise ConfigurationError(msg)
+    return names[0], names[1]
 
 
 def _of_one_frame(path: Path, stream: TopicStream) -> Entries:

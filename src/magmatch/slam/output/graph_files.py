@@ -33,7 +33,7 @@ def write_covariances(session: Session, path: Path) -> None:
     graph, logs, components, moments, numbers = session.graph, [], [], [], []
     for name, component, one in zip(session.names, session.component_of, session.paths, strict=True):
         for node, about_node in zip(one.nodes.tolist(), graph.covariances(one.nodes), strict=True):
-            T_node_body, t, _ = session.now.body_at(node)
+            T_node_body, t, _ = session._now.body_at(node)
             T, M = graph.pose(node) * T_node_body, adjoint(T_node_body.inv())
             C = M @ about_node @ M.T
             # The first node's is zero, but for rounding.

@@ -76,7 +76,7 @@ class Rough:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Anywhere:
-    """No prediction: a window may lie anywhere in all that is searched. It answers as `Rough` does."""
+    """No prediction: a window may lie anywhere in all that is searched. It has both methods of `Rough`."""
 
     volume: float  # m^3: of all that is searched
 

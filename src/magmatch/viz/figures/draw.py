@@ -228,7 +228,7 @@ def new_plane(
         figure.update_xaxes(range=x)
         figure.update_yaxes(range=y, scaleanchor="x", scaleratio=1, constrain="domain")
         figure.layout.meta = {"shape": (y[1] - y[0]) / (x[1] - x[0])}
-    return described(figure, alt)
+    return described(figure, alt) if alt else figure
 
 
 def _range(parts: list[np.ndarray]) -> list[float]:

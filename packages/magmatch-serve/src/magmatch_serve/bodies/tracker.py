@@ -125,11 +125,11 @@ class Tracker:
         if body is None:
             if len(self._bodies) >= self._config.max_clients:
                 self._drop(everyone=True)
+            state = checkpoints.path_of(self._config.states, client)
             try:
-                state = checkpoints.path_of(self._config.states, client).read_bytes()
-                body = Body.resumed(self._known, self._config.localizer, state)
-            except FileNotFoundError:
-                pass
+                body = (
+                    Body.resumed(self._known, self._config.localizer, state.read_bytes()) if state.exists() else None
+                )
             except NotReadyError:
                 return None
             is_resumed = body is not None
