@@ -158,6 +158,20 @@ def test_same_answers_say_nothing_of_code_that_did_not_answer(root):
     assert results(root, "--release")[0] == 1
 
 
+def test_of_several_commits_the_oldest_decides_and_what_a_table_covers_must_be_there(root):
+    first = git(root, "rev-parse", "HEAD")
+    (root / "src" / "code.py").write_text("x = 2\n")
+    last = commit(root)
+    save(root, table([first, last]))
+    results(root)
+    assert OLDER in page(root)
+    save(root, table([last], covers=["scr"]))
+    results(root)
+    code, said = results(root, "--check")
+    assert code == 1
+    assert "errors: covers scr, which is not there" in said
+
+
 def test_a_commit_outside_the_history_fails(root):
     git(root, "switch", "--quiet", "--create", "side")
     side = commit(root)

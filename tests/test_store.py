@@ -171,6 +171,7 @@ def nested(n):
 
 
 HOSTILE = {
+    "a negative header": (b"\xff" * 8 + SMALL[8:], "is cut off or damaged"),
     "not JSON": (sealed(b'",,}'), "Expecting property name"),
     "no metadata of ours": (sealed(b'"}}'), "entry 'data' is missing"),
     "metadata of numbers": (crafted(lambda _h, a: a.update(version=1)), "entry 'version' of the header"),
@@ -187,6 +188,8 @@ HOSTILE = {
     "rows of another width": (crafted(lambda _h, _a: 0, content={"x": {"$rows": ["x", [["a", "S3"]], [4]]}}), "size"),
     "an entry without a shape": (crafted(lambda h, _a: h["x"].pop("shape")), "entry 'shape' is missing"),
     "an entry with more": (crafted(entry(codec="pickle")), "expected dtype, shape and offsets"),
+    "objects": (crafted(entry(dtype="O")), "expected dtype, shape and offsets"),
+    "a negative shape": (crafted(entry(shape=[-4])), "expected dtype, shape and offsets"),
     "a huge shape": (crafted(entry(shape=[2**30, 2**30])), "bytes from"),
     "a shape of many axes": (crafted(entry(shape=[4, *[1] * 100])), "entry 'x'"),
     "an empty shape without end": (crafted(entry(shape=[0, 2**31, 2**31, 2**31], data_offsets=[0, 0])), "entry"),

@@ -109,6 +109,11 @@ def xyz10(folder, name, origin=(100.0, 50.0)):
     return folder / name
 
 
+@pytest.mark.parametrize("scale", ["0", "nan"])
+def test_a_scale_of_steps_that_cannot_be_is_refused(scale, export, tmp_path, refused):
+    refused(["odometry", export, "--out", tmp_path / "x.tum", "--step-scale", scale], "--step-scale", tmp_path)
+
+
 def test_a_folder_of_logs_with_waypoints_gets_the_frame_of_their_plan(tmp_path, run):
     xyz10(tmp_path / "floor", "one.txt")
     xyz10(tmp_path / "floor", "two.txt", origin=(100.0, 80.0))

@@ -209,3 +209,21 @@ def test_a_map_fixed_by_degrees_is_asked_in_degrees_and_keeps_its_origin(run, re
     done = run("slam", logs / "short.csv", logs / "walk.csv", "--continue", "--out", here)
     assert done.code == 0, done.err
     assert mm.read_survey(here / "walk.csv").frame == frame
+
+
+@pytest.mark.slow
+def test_merge_in_other_processes_writes_the_same_closures(run, place, tmp_path):
+    words = ["merge", place / "base.csv", place / "target.csv", "--json"]
+    alone, both = (run(*words, "--out", tmp_path / out, *more) for out, *more in (["one"], ["two", "--jobs", "2"]))
+    assert both.code == alone.code == 0, both.err
+    assert json.loads(both.out)["closures"] == json.loads(alone.out)["closures"] != []
+    assert not (tmp_path / ".two.unfinished").exists()
+
+
+def test_a_log_of_another_place_is_said_to_be_tied_to_none(run, logs, tmp_path):
+    drifting_walk(Place(9), 3, laps=0.7)[0].save(tmp_path / "far.csv")
+    done = run("slam", logs / "short.csv", tmp_path / "far.csv", "--out", tmp_path / "out")
+    assert done.code == 3, done.err
+    result = SlamResult.load(tmp_path / "out" / "result.json")
+    assert [log.T_map_log for log in result.logs] == [None, None]
+    assert (tmp_path / "out" / "map_2.map").is_file()

@@ -178,6 +178,15 @@ def test_an_archive_with_a_damaged_member_is_refused(poses, tmp_path, zipped):
     assert "damaged zip archive" in refusal(path, trajectory=poses)
 
 
+def test_an_archive_that_lies_about_its_size_is_refused(poses, tmp_path, zipped):
+    path = zipped(tmp_path / "export.zip", {"Magnetometer.csv": logger()})
+    raw = bytearray(path.read_bytes())
+    start = raw.index(b"PK\x01\x02") + 24
+    raw[start : start + 4] = (40).to_bytes(4, "little")
+    path.write_bytes(raw)
+    refusal(path, trajectory=poses)
+
+
 def test_folders_and_links_in_place_of_files_are_refused(poses, tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "Magnetometer.csv").mkdir()

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magmatch.data.checks import check_survey, require_one_frame
+from magmatch.data.describe import describe
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.data.sensor_axes import without_missing
@@ -174,6 +175,13 @@ def test_channels_follow_the_samples_that_marks_leave(room, tmp_path):
     np.testing.assert_array_equal(channels["current"], np.delete(np.arange(1, 51), 4))
 
 
+def test_half_of_a_log_may_be_filled_with_zeros(room):
+    filled = replace(room, field=room.field * (np.arange(len(room)) % 2)[:, None])
+    assert len(without_missing(filled)) == 25
+    dead = replace(room, field=0 * room.field)
+    assert without_missing(dead) is dead
+
+
 def test_absurd_readings_are_left_to_the_checks(room):
     absurd = changed(changed(room, "field", (3, 0), 1e300), "field", (7, 2), -1e200)
     assert without_missing(absurd) is absurd
@@ -268,3 +276,13 @@ def test_warnings_reach_the_log_with_the_file_name(room, tmp_path, caplog):
 @given(field=st.floats(22e-6, 67e-6))
 def test_the_unit_of_any_place_on_earth_is_recognised(unit, field):
     assert likely_field_unit(field / TESLA_PER_UNIT[unit]) == unit
+
+
+def test_description_holds_counts_extent_time_and_doubts(room):
+    gapped = replace(room, times=room.times + 60 * (room.times > 10), pose_sd=0.02)
+    about = describe(gapped)
+    assert (about["samples"], about["pose_sd"], about["orientations"]) == (50, 0.02, True)
+    np.testing.assert_allclose(about["extent"], np.ptp(room.positions, axis=0))
+    np.testing.assert_allclose(about["field"]["mean"], room.field.mean(axis=0))
+    assert [about["time"][name] for name in ("gaps", "longest_gap", "rate")] == pytest.approx([1, 60.5, 2.0])
+    assert about["warnings"] == check_survey(gapped)

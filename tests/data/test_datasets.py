@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Public recordings: only whole, verified files are used; what stands in the way is said in one line."""
 
+import gzip
 import hashlib
 import logging
 import sys
@@ -151,6 +152,18 @@ def test_of_published_lines_those_are_kept_that_are_read_and_name_nobody(lines, 
     with pytest.raises(DatasetError, match="its lines differ"):
         fetch("toy")
     assert not file.exists()
+
+
+@pytest.mark.parametrize("is_packed", [False, True])
+def test_a_local_copy_may_be_packed_and_hold_all_lines(lines, web, tmp_path, is_packed):
+    web(requests.exceptions.ConnectionError())
+    place = tmp_path / "toy" / "F2" / ("a.txt.gz" if is_packed else "a.txt")
+    place.parent.mkdir(parents=True)
+    place.write_bytes(gzip.compress(PUBLISHED) if is_packed else PUBLISHED)
+    (file,) = fetch("toy", tmp_path).values()
+    assert b"WIFI" not in file.read_bytes()
+    with pytest.raises(DataFormatError, match="nowhere: expected a folder"):
+        fetch("toy", tmp_path / "nowhere")
 
 
 def test_unknown_dataset_names_the_known_ones():

@@ -107,6 +107,20 @@ def test_hard_iron_is_no_wrong_frame(seed, microtesla, direction):
     assert [one.kind for one in diagnose(with_hard_iron(walk(seed), microtesla, direction)) if one.is_of_frames] == []
 
 
+@settings(deadline=None, max_examples=12)
+@given(seed=st.integers(0, 10**6), microtesla=st.floats(0, 30), direction=DIRECTIONS)
+def test_hard_iron_hides_no_forgotten_frame(seed, microtesla, direction):
+    wrong = MISTAKES["readings in the sensor's axes"][0](with_hard_iron(walk(seed), microtesla, direction))
+    (found,) = diagnose(wrong)
+    assert "--field-frame sensor" in found.remedy
+
+
+def test_a_sensor_that_keeps_its_attitude_and_a_field_that_is_constant_are_told_of_nothing():
+    survey = walk()
+    assert diagnose(replace(survey, orientations=Rotation.identity(len(survey)))) == []
+    assert diagnose(replace(survey, field=np.tile(EARTH, (len(survey), 1)))) == []
+
+
 @pytest.mark.parametrize("axes", [name for name, axes in AXES.items() if axes[2, 2] != 1])
 def test_orientations_in_other_axes_than_the_path_are_told(axes):
     survey = walk()

@@ -37,6 +37,11 @@ def test_an_index_of_dates_is_the_time(name, frame, dates):
     np.testing.assert_array_equal(survey.times, SECONDS)
 
 
+def test_a_level_of_dates_is_the_time(pd, frame, dates):
+    frame.index = pd.MultiIndex.from_arrays([["walk"] * N, dates])
+    np.testing.assert_array_equal(Survey.from_dataframe(frame).times, SECONDS)
+
+
 def test_parquet_of_an_index_of_dates_has_times(frame, dates, tmp_path):
     pytest.importorskip("pyarrow")
     frame.set_index(dates).to_parquet(tmp_path / "s.parquet")

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from magmatch.data.formats.format import SurveyFormat
+from magmatch.data.formats.phones.tables import columns_of
 from magmatch.data.read import read_survey, read_survey_and_channels
 from magmatch.errors import DataFormatError
 from magmatch.number_text import many
@@ -208,3 +209,8 @@ def test_numbers_above_a_header_are_no_titles(above, tmp_path):
     path.write_text(f"{above}\nt,x,y,z,bx,by,bz\n{rows}\n")
     with pytest.raises(DataFormatError):
         read_survey(path)
+
+
+def test_a_survey_in_millimetres_is_no_phones_log():
+    names = "timestamp (s),x (mm),y (mm),z (mm),B x (µT),B y (µT),B z (µT)"
+    assert columns_of([name.lower() for name in names.split(",")], "survey") is None

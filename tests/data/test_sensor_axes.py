@@ -102,3 +102,8 @@ def test_rows_of_zeros_are_no_end_of_a_range():
 def test_a_limit_is_said_once_however_it_was_turned():
     (words,) = [w for w in check_survey(hand_held(with_axis(2, lambda b: np.minimum(b, -26 * UT)))) if "axis" in w]
     assert words.count("uT") == 1
+
+
+def test_readings_held_by_a_sensor_that_turns_are_repeats():
+    survey = hand_held(lambda b: b[np.arange(N) // 3 * 3])
+    assert any("67 % of the samples repeat the field" in words for words in check_survey(survey))

@@ -75,6 +75,13 @@ def test_a_survey_without_times_cannot_become_a_log(suffix, walk, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_positions_without_orientations_go_through_mcap(walk, tmp_path):
+    bare = Survey(walk.positions, walk.field, walk.times)
+    survey = read_survey(write(bare, tmp_path / "bare.mcap"))
+    assert survey.orientations is None
+    np.testing.assert_array_equal(survey.field, walk.field)
+
+
 def test_times_that_ros_cannot_state_are_refused(walk, tmp_path):
     with pytest.raises(SurveyError, match="ROS knows"):
         write(Survey(walk.positions, walk.field, walk.times * 2), tmp_path / "walk.mcap")

@@ -54,3 +54,10 @@ def test_a_poor_maps_errors_are_not_asked_of_another_place(known):
     as_rough = null._start["nugget"] >= poor.nugget_variance
     assert as_rough.any()
     assert np.logaddexp.reduce(found) - np.log(len(found)) > found[as_rough].max() + 10
+
+
+def test_a_heading_need_not_be_known_as_well_as_a_surveys_frame():
+    ours, theirs = mm.LocalizerConfig(), mm.RegistrationConfig().decision
+    assert ours.decision.max_sd(1.0) == (2.0, pytest.approx(np.radians(30), abs=1e-4))
+    # Nor does a coarse pose that will do make one answer of two.
+    assert ours.same(1.0) == (theirs.tolerance(1.0)[0], pytest.approx(2 * theirs.tolerance(1.0)[1]))

@@ -37,6 +37,21 @@ def test_an_unrelated_field_that_explains_nothing_costs_the_others_its_prior_sha
     np.testing.assert_allclose(after, before + np.log(4 / 3), atol=1e-9)
 
 
+def test_unrelated_fields_that_explain_alike_count_once(known):
+    bins = some_bins(1)
+    twice = replace(bins, null=np.concatenate([bins.null, bins.null], axis=1))
+    once, again = (evidence(some, known, FREE)[0] for some in (bins, twice))
+    np.testing.assert_allclose(again, once, atol=1e-9)
+
+
+def test_evidence_counts_by_the_share_of_the_fields_variance_that_a_map_explains(known):
+    poor = replace(known, noise=replace(known.noise, misfit_sd=0.8 * known.field_sd, constant_sd=0.0))
+    assert poor.dispersion**-2 == pytest.approx(1 - 0.8**2)
+    assert known.dispersion < 1.05
+    useless = replace(known, noise=replace(known.noise, misfit_sd=2 * known.field_sd))
+    assert useless.dispersion == pytest.approx(np.sqrt(20))
+
+
 def test_residuals_that_the_covariances_factor_explains_are_no_misfit(known):
     bins, rng = some_bins(2, 1), np.random.default_rng(3)
     rougher, odd = (replace(bins, fit=fits(rng, 1, chi2)) for chi2 in (4.0, 60.0))

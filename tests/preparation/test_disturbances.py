@@ -11,7 +11,7 @@ from magmatch.errors import SurveyError
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
 from magmatch.preparation.config import PreparationConfig
-from magmatch.preparation.disturbances import find_contradictions, find_spikes
+from magmatch.preparation.disturbances import find_contradictions, find_jumps, find_saturation, find_spikes
 from magmatch.preparation.prepare import prepare
 from magmatch.simulation.corruption import Corruption, corrupt
 
@@ -128,3 +128,20 @@ def test_what_passed_on_one_lap_is_found_in_any_unit_and_nothing_else(laps, leng
     spiked[[50, 600]] += field * np.array([[2e-5, 0, 0], [0, -2e-5, 0]])
     spikes = find_spikes(length * x, spiked, scaled, 10.0, in_order=True)
     assert np.flatnonzero(spikes).tolist() == [50, 600]
+
+
+@pytest.mark.parametrize(("n", "is_jump"), [(1, True), (2, True), (5, False), (6, False)])
+def test_readings_that_bear_each_other_out_are_no_jump(robot, n, is_jump):
+    readings = robot[0].field.copy()
+    readings[500 : 500 + n] += 20e-6
+    assert find_jumps(readings, 10.0)[500 + n // 2] == is_jump
+
+
+def test_saturation_needs_five_readings_at_the_limit_and_more_than_at_the_next_three():
+    rng = np.random.default_rng(1)
+    for count in (4, 5):
+        x = rng.uniform(-1, 1, (50, 3))
+        x[:count, 1] = -2.0
+        assert find_saturation(x).sum() == (count if count == 5 else 0)
+    steps = np.concatenate([np.full(6, 3.0), np.full(3, 2.0), np.full(3, 1.5), np.arange(-5, 1, 0.1)])
+    assert not find_saturation(np.tile(steps[:, None], (1, 3))).any()

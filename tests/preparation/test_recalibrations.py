@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from magmatch.data.diagnoses import diagnose
 from magmatch.data.survey import Survey
 from magmatch.preparation.config import PreparationConfig
 from magmatch.preparation.prepare import prepare, prepare_either
@@ -179,6 +180,10 @@ def test_a_turn_that_poses_show_late_or_early_is_no_jump_of_the_sensor(pose_seco
 def test_a_tilt_that_poses_show_at_once_is_no_jump_of_the_sensor(axis):
     log = SensorLog.of(squares(0.0, 1.0, corner=0.6, axis=axis))
     assert len(find_recalibrations(log)) == 0
+
+
+def test_a_frame_is_not_wrong_because_poses_show_turns_late():
+    assert not diagnose(squares(0.0, 1.0))
 
 
 def test_corrections_of_poses_that_step_leave_the_magnitude_as_it_was_read():

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from hand_made import exp_se3
 from magmatch.geometry import random_transform
 from magmatch.published.fitness import Fitness, FitnessConfig, fitness, mean_misalignment
-from magmatch.registration.published_answer import verdict_of
+from magmatch.registration.published_answer import state_check, verdict_of
 from magmatch.registration.result import Status
 
 
@@ -63,3 +63,13 @@ def test_the_printed_check_is_a_mean_cross_product(make_exact_pair):
 def test_published_rule_looks_at_fitness_and_overlap_alone(fitness, overlap, status):
     check = None if fitness is None else Fitness(fitness, overlap)
     assert verdict_of(check, FitnessConfig()).status is status
+
+
+def test_the_answer_is_the_best_consensus_or_a_refusal_that_shows_all():
+    rng = np.random.default_rng(0)
+    poses = random_transform(rng), random_transform(rng)
+    accepted, refused = (state_check(poses, Fitness(value, 0.7), FitnessConfig()) for value in (0.05, 0.5))
+    assert accepted.T_base_target is poses[0]
+    assert (accepted.fitness, accepted.overlap, accepted.alternatives) == (0.05, 0.7, ())
+    assert refused.T_base_target is None
+    assert [a.T_base_target for a in refused.alternatives] == list(poses)

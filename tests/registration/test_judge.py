@@ -57,6 +57,13 @@ def test_judging_an_accepted_pose_gives_it_again_with_its_probability(kind, requ
     np.testing.assert_allclose(np.diag(again.covariance), np.diag(place.found.covariance), rtol=0.1)
 
 
+def test_a_pose_that_is_near_is_refined(place):
+    rough = place.T * exp_se3(np.array([0.02, -0.01, 0.03, 0.04, 0.05, -0.03]))
+    result = mm.judge(place.base, place.target, [rough])
+    assert result.is_accepted
+    assert transform_error(result.T_base_target, place.T, place.center)[0] < 0.03
+
+
 def test_wrong_poses_are_refused_near_and_far(place):
     wrong, other = (random_transform(np.random.default_rng(seed)) for seed in (1, 2))
     away = RigidTransform.from_translation([1e3, 0, 0]) * place.T

@@ -280,6 +280,10 @@ def test_hash_changes_with_the_content(name):
     assert hash_survey(survey(**{name: changed})) != hash_survey(one)
 
 
+def test_hash_tells_missing_times_from_given_ones():
+    assert len({hash_survey(survey(times=None)), hash_survey(survey()), hash_survey(survey(orientations=None))}) == 3
+
+
 def test_loaded_identity_is_not_mistaken_for_missing(tmp_path):
     accepted(T_base_target=RigidTransform.identity()).save(tmp_path / "r.json")
     assert np.array_equal(RegistrationResult.load(tmp_path / "r.json").T_base_target.as_matrix(), np.eye(4))

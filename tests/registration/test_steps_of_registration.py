@@ -97,7 +97,7 @@ def test_a_probable_pose_is_settled_and_stated_so():
     strategy, best = HandMadeStrategy(), shifted(0.2)
     result = decided([best, shifted(9.0, log_evidence=20.0)], strategy=strategy)
     assert [(what, pose) for what, pose in strategy.asked] == [("settle", best)]
-    assert result.status is Status.ACCEPTED
+    assert (result.status, result.alternatives) == (Status.ACCEPTED, ())
     np.testing.assert_allclose(result.T_base_target.translation, [1.2, 0.0, 0.01], atol=1e-12)
     np.testing.assert_allclose(result.covariance, 1e-4 * np.eye(6), atol=1e-12)
     assert (result.residual, result.n_inliers) == (0.9, 4)

@@ -2,6 +2,7 @@
 """A log that may be anywhere on its earlier path: where it is searched for, and what ties it there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -78,3 +79,15 @@ def test_a_window_whose_place_the_graph_knows_needs_less_evidence_than_one_that_
     places.graph.edges, places.graph.config = odometry_graph(places.paths, config).edges, config
     places.solve()
     assert probable_closures(path, [weak], places.graph, places.paths)
+
+
+def test_a_tie_is_kept_if_the_windows_beside_it_agree_and_else_leaves_the_graph_as_it_was(closed):
+    places, closures = closed
+    path, best = places.paths[0], max(closures, key=lambda c: c.log_odds)
+    before, nowhere = places.graph.p.copy(), SimpleNamespace(log_prior=NOWHERE)
+    proposed = [[SimpleNamespace(node=best.first, match=nowhere)]] * len(path.windows)
+    ahead = RigidTransform.from_translation([2.5 * places.maker.length, 0.0, 0.0])
+    for tie, is_kept in ((replace(best, T_first_second=best.T_first_second * ahead), False), (best, True)):
+        found = LoopCloser(places, Runner()).confirm(path, proposed, [tie], path.nodes, path.windows)
+        assert (found is not None, len(places.graph.closures)) == (is_kept, is_kept)
+        assert is_kept or np.array_equal(places.graph.p, before)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a session says of itself: the document, the folder, and the graph for other programs."""
 
+import csv
 import json
 from dataclasses import replace
 
@@ -22,7 +23,7 @@ from magmatch.slam.graph.anchors import Anchor
 from magmatch.slam.graph.normal_equations import shared
 from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.output.folder import require_folder, write_folder
-from magmatch.slam.output.graph_files import write_graph
+from magmatch.slam.output.graph_files import write_covariances, write_graph
 from magmatch.slam.places import settled
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.search.loop_closure import Candidate, Match
@@ -311,3 +312,12 @@ def test_covariances_are_those_of_poses_in_the_trajectory(lone, tmp_path):
     variances = np.array([[float(cell[f"c{k}{k}"]) for k in range(6)] for cell in cells])
     stated = np.sqrt(np.column_stack([variances[:, 3:].sum(axis=1), variances[:, :3].sum(axis=1)]))
     np.testing.assert_allclose(stated, sds, rtol=1e-6, atol=1e-9)
+
+
+def test_covariances_are_a_table_whatever_a_log_is_called(lone, tmp_path, monkeypatch):
+    monkeypatch.setattr(mm.Session, "names", property(lambda _: ['a "b", c']))
+    write_covariances(lone.session, tmp_path / "covariances.csv")
+    with (tmp_path / "covariances.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert {row["log"] for row in rows} == {'a "b", c'}
+    assert all(None not in row and float(row["c55"]) >= 0 for row in rows)

@@ -42,6 +42,7 @@ REQUESTS = {
     "POST for GET": ("/maps", b"x", {}, POST, 405),
     "live without a WebSocket": ("/live", None, {}, GET, 404),
     "another page's origin": ("/maps", None, {"Origin": "https://evil.example"}, GET, 403),
+    "origin of another port": ("/localize", b"x", {"Origin": "http://127.0.0.1:1"}, POST, 403),
     "another host": ("/maps", None, {"Host": "evil.example"}, GET, 421),
     "a host that is none": ("/maps", None, {"Host": "[::"}, GET, 421),
     "no body": ("/localize", b"", {}, POST, 400),

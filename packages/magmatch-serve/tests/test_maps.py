@@ -207,6 +207,32 @@ def test_foxglove_is_told_of_bodies(hall, one_tracker, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_folder_that_is_away_or_emptied_is_served_on_once_there_is_a_map(hall, other, tmp_path):
+    folder, gone = tmp_path / "maps", tmp_path / "gone"
+    folder.mkdir()
+    copy_to(folder, hall.map)
+    (tmp_path / "limits.yaml").write_text("trackers: 1\nlook_every: 0.3\n")
+    body = survey_csv(hall.walk(2)[0], tmp_path)
+    with serving(folder, "--config", tmp_path / "limits.yaml") as service:
+        assert service.ask("/localize", body)[0] == 200
+        # The clients' states lie in the folder, too.
+        folder.rename(gone)
+        wait_until(lambda: b"is gone" in service.ask("/maps")[2])
+        assert service.ask("/localize", body)[0] == 503
+        gone.rename(folder)
+        wait_until(lambda: json.loads(service.ask("/maps")[2])["fault"] is None)
+        (folder / "hall.map").unlink()
+        wait_until(lambda: json.loads(service.ask("/maps")[2])["fault"] == "maps: holds no map any more")
+        assert service.ask("/localize", body)[0] == 200
+        shutil.copy(other, folder / "new")
+        (folder / "new").replace(folder / "other.map")
+        wait_until(lambda: [m["name"] for m in json.loads(service.ask("/maps")[2])["maps"]] == ["other.map"])
+        assert last_answer(service, hall.walk(2)[0])["map"] is None
+        assert service.words().count("holds no map any more") == 1
+        assert "Traceback" not in service.words()
+
+
+@pytest.mark.slow
 def test_a_log_is_answered_though_the_process_that_works_on_logs_is_killed(hall, one_tracker, tmp_path):
     body, states = survey_csv(hall.walk(2)[0], tmp_path), tmp_path / "states"
     with serving(hall.map, "--states", states, "--config", one_tracker) as service:

@@ -57,6 +57,11 @@ CONTENTS = {
     ),
     "unknown field topic": (lambda s: s, {"mag_topic": "/mag"}, "--mag-topic /mag: no such topic"),
     "pose topic of another type": (lambda s: s, {"pose_topic": "/imu/mag"}, "expected a pose topic"),
+    "positions only": (
+        lambda s: changed(s, 1, type="geometry_msgs/msg/PointStamped", values=s[1].values[:, :3]),
+        {},
+        "cannot be turned",
+    ),
     "frames without tf": (lambda s: s, {"pose_frames": "map,base"}, "tf does not connect 'base' to 'map'"),
     "static tf only": (
         lambda s: changed(s, 1, topic="/tf_static", type="tf2_msgs/msg/TFMessage"),

@@ -118,3 +118,14 @@ def test_warnings_about_a_packed_log_name_the_file_itself(made, flight, tmp_path
     read_survey(path, SurveyFormat(field_frame="sensor"))
     told = [message for message in caplog.messages if "nothing says where 'elsewhere' sits" in message]
     assert [message.startswith(f"{path}: ") for message in told] == [True]
+
+
+def test_a_message_at_fault_is_named_by_its_number_in_the_topic(made, flight, tmp_path):
+    """Also behind the first batches that are decoded together."""
+    mag, odom = flight.series
+    n = 17_000
+    values = np.tile(mag.values[:1], (n, 1))
+    values[16_500] = np.nan
+    many = made.replace(mag, log_ns=mag.log_ns[0] + np.arange(n) * 500_000, stamp_ns=None, values=values)
+    with pytest.raises(DataFormatError, match="/imu/mag, message 16500: holds NaN"):
+        read_survey(made.mcap(tmp_path / "log.mcap", [many, odom]))

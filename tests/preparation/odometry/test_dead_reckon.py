@@ -105,6 +105,12 @@ def changed(sensor, times=lambda t: t, values=lambda v: v):
     return PhoneLog(log.path, log.app, dict(log.streams) | {sensor: stream})
 
 
+def standing():
+    log = walk(stand=10.0)
+    still = {k: Stream(s.times[: len(s) // 10], s.values[: len(s) // 10], s.source) for k, s in log.streams.items()}
+    return PhoneLog(log.path, log.app, still)
+
+
 BAD = {
     "no gyroscope": (lambda: without("rate"), "expected readings of the gyroscope for dead reckoning"),
     "no accelerometer": (lambda: without("acceleration"), "expected readings of the accelerometer with gravity"),
@@ -112,6 +118,7 @@ BAD = {
     "two clocks": (lambda: changed("rate", times=lambda t: t + 1e6), "the sensors share"),
     "a slow sensor": (lambda: changed("rate", times=lambda t: t * 20), "readings a second, expected at least"),
     "a day and more": (years, "expected a walk of"),
+    "no walk": (standing, "no step is found"),
 }  # fmt: skip
 
 
@@ -164,3 +171,15 @@ def test_without_vqf_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "vqf", None)
     with pytest.raises(MissingExtraError, match=r"pip install '\.\[odometry\]'"):
         dead_reckon(walk())
+
+
+def test_orientations_take_the_phones_axes_to_a_frame_whose_z_is_up_and_gaps_are_said(caplog):
+    log = walk(pitch_deg=35.0)
+    found = dead_reckon(log).trajectory
+    resting = found.times < 4
+    up = found.orientations[resting].inv().apply([0, 0, 1])
+    truth = log.streams["acceleration"].values[0] / G
+    np.testing.assert_allclose(up, np.broadcast_to(truth, up.shape), atol=0.02)
+    assert "gap" not in caplog.text
+    dead_reckon(changed("rate", times=lambda t: t + 0.5 * (t > 20)))
+    assert "has 1 gap, the longest 0.51 s" in caplog.text

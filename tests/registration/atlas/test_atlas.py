@@ -7,12 +7,17 @@ import pytest
 import magmatch as mm
 from magmatch.data.survey import Survey
 from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.field.build import build_map
+from magmatch.field.config import SPLINE
 from magmatch.field.saved_map import MapFile
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.atlas import is_atlas, open_atlas
 from magmatch.registration.index.map_index import index_path, open_index
-from magmatch.registration.register import register
+from magmatch.registration.register import register, register_keeping_maps
+from magmatch.simulation.config import SimulationConfig
+from magmatch.simulation.corruption import corrupt, draw_corruption
+from magmatch.simulation.simulate import simulate
 from magmatch.store import save
 
 T_ROOM_WALK = random_transform(np.random.default_rng(1))
@@ -155,3 +160,19 @@ def test_a_folder_without_maps_is_no_atlas(tmp_path):
     file.touch()
     with pytest.raises(DataFormatError, match="expected a folder of saved maps"):
         open_atlas(file)
+
+
+@pytest.mark.slow
+def test_a_raw_log_is_found_once_its_sensor_is_calibrated(tmp_path):
+    pytest.importorskip("magpylib", reason="surveys are simulated with the extra 'simulation'")
+    config = SimulationConfig(n_samples=1000, room_size=(2.0, 2.0, 0.6))
+    pair, elsewhere = (simulate("office-hand-held", seed, config) for seed in (41, 42))
+    for name, survey in (("here", pair.base), ("elsewhere", elsewhere.base)):
+        build_map(survey, SPLINE).save(tmp_path / f"{name}.map")
+    rng = np.random.default_rng(41)
+    raw = corrupt(pair.target, draw_corruption(rng), rng)[0]
+    _, used, result = register_keeping_maps(open_atlas(tmp_path), raw)
+    assert (result.is_accepted, result.base) == (True, "here.map")
+    assert transform_error(result.T_base_target, pair.T_base_target, pair.target.centroid)[0] < 8e-3
+    assert "target" in result.sensor["calibrated"]
+    assert not np.array_equal(used.survey.field[:100], raw.field[:100])

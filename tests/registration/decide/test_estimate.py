@@ -107,3 +107,12 @@ def test_a_pose_under_several_models_has_the_moments_of_their_mixture():
     assert Estimate.mixture(models[:1], [0.3]) is models[0]
     # A model under which a direction is not known leaves the best one as it is.
     assert Estimate.mixture([models[0], Estimate(T, center, None)], [0.6, 0.4]) is models[0]
+
+
+def test_uncertainty_is_said_where_the_target_lies_not_at_a_far_origin():
+    # 1 mrad about a centre 100 m from the origin, known to 5 mm there: the origin itself is unsure by 0.1 m.
+    turn, shift = 1e-3, 5e-3
+    found = estimate_of(np.diag([turn**2] * 3 + [shift**2] * 3), (100.0, 0.0, 0.0))
+    assert np.sqrt(np.trace(found.covariance_about_origin[3:, 3:])) > 0.1
+    assert found.worst_sd == pytest.approx((shift, turn))
+    assert found.free_directions((2 * shift, 2 * turn)) == ()

@@ -118,6 +118,17 @@ def test_the_covariance_in_the_frame_of_fixed_points_covers_the_error():
     assert 0.4 < np.mean(errors) < 2.0
 
 
+def test_what_is_done_to_a_copy_leaves_the_graph_as_it_was():
+    graph, _ = graph_of([10, 90, 200])
+    was = [array.copy() for array in (graph.R, graph.p, graph.level)]
+    other = graph.copied()
+    other.fixed = replace(graph.fixed, position=graph.fixed.position + np.array([5.0, 0.0, 1.0]))
+    solve(other)
+    assert np.abs(other.p - graph.p).max() > 1
+    for array, before in zip((graph.R, graph.p, graph.level), was, strict=True):
+        np.testing.assert_array_equal(array, before)
+
+
 def test_a_single_point_tells_where_and_not_which_way():
     graph, (path,) = graph_of([100])
     assert not graph.is_fixed(0)
@@ -200,6 +211,14 @@ def test_a_point_shortly_beyond_the_samples_counts_as_far_as_the_log_may_have_mo
     found = fixed_points([(a, 0) for a in (near, at, beyond)], [path])
     np.testing.assert_allclose(found.sd, [0.1, 0.1, np.hypot(0.1, 0.9 * speed)])
     np.testing.assert_array_equal(found.x[2], LOG.positions[row])
+
+
+def test_a_table_is_read_as_it_stands(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text("# by the surveyor\nsd;z;y;x;t;log\n0.1;3;2;1;4.5;a b.csv\n\n0.2;0;0;0;5;c\n")
+    one, other = read_anchors(path)
+    assert (one.log, one.t, one.sd, one.position.tolist()) == ("a b.csv", 4.5, 0.1, [1, 2, 3])
+    assert other.source.endswith("line 5")
 
 
 def test_degrees_become_metres_about_the_first_point_or_a_stated_one(tmp_path):

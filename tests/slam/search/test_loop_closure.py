@@ -56,6 +56,17 @@ def test_what_the_field_says_of_a_pose_is_apart_from_what_its_prediction_costs(n
     assert there.log_prior - m.log_prior > 4
 
 
+def test_the_prior_that_neighbours_replace_is_of_what_drifts_alone(near):
+    """Else a pose that leans against gravity would be as likely as a neighbour predicts its place."""
+    drifts = near.window.config.drifts
+    C = near.rough.covariance + NODE_COVARIANCE
+    densest = multivariate_normal.logpdf(np.zeros(len(drifts)), cov=C[np.ix_(drifts, drifts)])
+    for lean in (0.0, 0.1):
+        off = near.window.T_log_node * pose([lean, 0, 0], [0, 0, 0.3 * lean]) * near.window.T_log_node.inv()
+        (match, *_) = matches(near.window, near.base, Rough(near.rough.T_base_log * off, near.rough.covariance))
+        assert densest - 0.3 < match.log_prior <= densest
+
+
 def test_a_closure_knows_height_and_lean_no_better_than_its_two_nodes_hold_them(lone):
     """Odometry that rises by centimetres would be contradicted by every closure, if the field shows millimetres."""
     graph = lone.session._now.graph
