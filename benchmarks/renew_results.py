@@ -66,12 +66,12 @@ RUNS = (
     ),
     Run(
         ("many-buildings",),
-        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 181530972 --from {data}",
+        "experiments/many_buildings.py {out} --tries 100 --simulated 60 --absent 50 --seed 119096914 --from {data}",
         12,
     ),
     Run(
         ("many-rooms", "different-places"),
-        "experiments/many_rooms.py --first 188920970 --rooms 50 --pairs 1000 --jobs {jobs} --out {out}",
+        "experiments/many_rooms.py --first 174826123 --rooms 50 --pairs 1000 --jobs {jobs} --out {out}",
         28,
         "--save {0} --save-pairs {1}",
     ),
@@ -88,7 +88,7 @@ RUNS = (
     ),
     Run(
         ("evaluation-published", "evaluation-mapping", "evaluation-costs"),
-        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 8 --first 170474126 "
+        "evaluate office-z30 table-map table-robot corridor mapping --methods {methods} --seeds 8 --first 178091095 "
         "--jobs {jobs} --from {data} --out {out}",
         24,
         "--save",
