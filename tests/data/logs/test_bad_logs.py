@@ -224,10 +224,7 @@ FOLDERS = {
         "repeats values by name",
     ),
     "metadata of something else": (lambda f: (f / "metadata.yaml").write_text("a: b"), "rosbag2_bagfile_information"),
-    "a file elsewhere": (
-        lambda f: about(f, relative_file_paths=["/etc/a\0.db3"]),
-        "not in the folder; 'ros2 bag reindex'",
-    ),
+    "a file elsewhere": (lambda f: about(f, relative_file_paths=["/etc/a\0.db3"]), "outside the folder"),
     "files that are no names": (lambda f: about(f, relative_file_paths=[1]), "list of names"),
     "files compressed as a whole": (lambda f: (f / "x.db3.zstd").write_bytes(b"x"), "unzstd x.db3.zstd"),
     "messages compressed otherwise": (
