@@ -18,7 +18,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from magmatch_evaluation.saved_table import FOLDER, ResultTable, markdown_table
@@ -38,6 +38,8 @@ class History:
 
     root: Path
     alike: ResultTable | None = None  # pairs of commits that answer the same to the bit, and the code that answers
+    # What was compared: tables cover the same code
+    _differs: dict[tuple[str, str, str | None], bool] = field(default_factory=dict)
 
     @classmethod
     def of(cls, root: Path) -> "History":
@@ -84,6 +86,12 @@ class History:
 
         It is the file as it lies in the folder, or of another commit.
         """
+        asked = commit, path, other
+        if asked not in self._differs:
+            self._differs[asked] = self._compare(*asked)
+        return self._differs[asked]
+
+    def _compare(self, commit: str, path: str, other: str | None) -> bool:
         commits = [commit] if other is None else [commit, other]
         found = self.git("diff", "--name-status", "--no-renames", *commits, "--", path)
         changes = [line.split("\t") for line in found.stdout.splitlines()]

@@ -44,7 +44,7 @@ def zipped():
 def recordings():
     """Folder of the real recordings."""
     if not RECORDINGS.is_dir():
-        pytest.skip("the real recordings are not on this machine (magmatch datasets fetch NAME)")
+        pytest.skip("no recordings in ../shared/data beside the checkout")
     return RECORDINGS
 
 

@@ -28,7 +28,7 @@ from magmatch.data.frame_mistakes import (
     named,
 )
 from magmatch.data.geodesy import Origin
-from magmatch.data.sensor_axes import FEW, HALF, RESOLVED, sensor_readings
+from magmatch.data.sensor_axes import FEW, HALF, RESOLVED, is_constant, sensor_readings
 from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import origin_of
 from magmatch.data.units import TESLA_PER_UNIT, FieldUnit, field_text, likely_field_unit, unusual_size
@@ -96,7 +96,7 @@ def diagnose(survey: Survey, unit: FieldUnit = "T") -> list[Diagnosis]:
 def constant_field(survey: Survey) -> str:
     """Say that the field varies nowhere, in the survey's or in the sensor's axes; nothing if it does."""
     for field, where in ((survey.field, ""), (sensor_readings(survey), " in the sensor's axes")):
-        if float(field.std(axis=0).max()) < RESOLVED:
+        if is_constant(field):
             least = field_text(RESOLVED)
             return f"the field is constant{where} (varies less than {least}): nothing tells places apart"
     return ""

@@ -31,7 +31,7 @@ def hash_survey(survey: Survey) -> str:
         # Adding zero takes the sign off negative zeros, which text need not keep.
         kind = "<f4" if name == "orientations" else "<f8"
         block = values.astype(kind) + 0.0
-        digest.update(f"{name} {block.shape} {kind};".encode() + block.astype(kind).tobytes())
+        digest.update(f"{name} {block.shape} {kind};".encode() + block.astype(kind, copy=False).tobytes())
     return digest.hexdigest()
 
 

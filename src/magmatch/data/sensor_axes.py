@@ -72,6 +72,11 @@ def sensor_readings(survey: Survey) -> Vectors:
     return survey.field if survey.orientations is None else survey.orientations.apply(survey.field, inverse=True)
 
 
+def is_constant(field: Vectors) -> bool:
+    """Whether a field (n, 3), T, varies nowhere: nothing tells places apart."""
+    return float(field.std(axis=0).max()) < RESOLVED
+
+
 def find_repeats(readings: Vectors) -> Mask:
     """Readings equal to the one before, up to the rounding of a turn to and fro."""
     is_same = np.zeros(len(readings), dtype=bool)

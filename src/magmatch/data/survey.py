@@ -3,8 +3,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from dataclasses import field as field_of
 from itertools import pairwise
 from pathlib import Path
@@ -335,9 +334,9 @@ class Survey:
 
     def _with(self, **changes: Any) -> "Survey":
         """Give the survey with some of its parts changed, which were checked before; it may be empty."""
-        survey = copy(self)
-        for name, value in changes.items():
-            object.__setattr__(survey, name, value)
+        survey: Survey = object.__new__(type(self))
+        for f in fields(self):
+            object.__setattr__(survey, f.name, changes[f.name] if f.name in changes else getattr(self, f.name))
         return survey
 
     def principal_frame(self) -> RigidTransform:

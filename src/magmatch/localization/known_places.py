@@ -13,7 +13,7 @@ import numpy as np
 from magmatch.arguments import expect_kind
 from magmatch.data.fingerprint import hash_survey
 from magmatch.data.formats.sniff import sniff
-from magmatch.data.sensor_axes import RESOLVED
+from magmatch.data.sensor_axes import is_constant
 from magmatch.data.tables.text import is_folder
 from magmatch.errors import DataFormatError
 from magmatch.estimation.limits import MAX_LOADED
@@ -52,7 +52,7 @@ class KnownPlaces:
     @cached_property
     def is_constant(self) -> bool:
         """Whether the only map's field is the same everywhere: it has no field length either."""
-        return self.alone is not None and bool(survey_of(self.alone).field.std(axis=0).max() < RESOLVED)
+        return self.alone is not None and is_constant(survey_of(self.alone).field)
 
     @cached_property
     def length(self) -> float:

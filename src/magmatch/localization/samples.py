@@ -52,9 +52,8 @@ class LastSample:
         """
         time = t if isinstance(t, float) else numbers_of(t, "t", "(), in s")
         z = numbers_of(b, "field", "(3,), in T")
-        is_one = isinstance(time, float) or not np.ndim(
-            time
-        )  # asking NumPy of a float takes as long as all else here
+        # To ask NumPy about a float would take as long as all else here.
+        is_one = isinstance(time, float) or not np.ndim(time)
         fault = BAD_TIME if not is_one else BAD_FIELD if z.shape != (3,) else FINE
         if not fault:
             self.last["next_t"], self.last["next_T"], self.last["next_z"] = time, T, z

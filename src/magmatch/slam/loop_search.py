@@ -25,7 +25,7 @@ from magmatch.slam.search.loop_closure import (
     residuals,
 )
 from magmatch.slam.search.searched import Searched, distinct_candidates
-from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, table_of, volume_of
+from magmatch.slam.search.submaps import TOGETHER, Submap, SubmapMaker, submap_of, table_of, volume_of
 from magmatch.slam.windows import Path, Window
 from magmatch.typing import Indices
 from magmatch.workers import Task
@@ -128,7 +128,7 @@ class LoopSearch:
     def submap(self, node: int) -> Shared[Submap]:
         """The submap that is made for a node's window, odometry's frame."""
         path = self.places.path(node)
-        first = node - (node - path.first_node) % TOGETHER
+        first = submap_of(node, path.first_node)
         if first not in self._submaps:
             self._submaps[first] = self.maker.piece(path, first)
         return self._submaps[first]
@@ -145,7 +145,7 @@ class LoopSearch:
     def by_submap(self, nodes: Indices, window: Window) -> dict[int, Indices]:
         """Nodes by the first node of the submap that is made for them, if that ends before a window."""
         logs = self.places.graph.log[nodes]
-        firsts = nodes - (nodes - np.array([path.first_node for path in self.places.paths])[logs]) % TOGETHER
+        firsts = submap_of(nodes, np.array([path.first_node for path in self.places.paths])[logs])
         ends_before = (logs != window.log) | (firsts + TOGETHER < window.node)
         return {a: nodes[firsts == a] for a in np.unique(firsts[ends_before]).tolist()}
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.checks import extent
-from magmatch.data.sensor_axes import RESOLVED
+from magmatch.data.sensor_axes import is_constant
 from magmatch.data.survey import Survey
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.sensor_biases import without_bias
@@ -150,8 +150,7 @@ def begin(
 ) -> Places:
     """Cut logs into windows, where odometry has them; the field's length is learned from so many parts."""
     maker, biases = None, [NO_BIAS] * len(given)
-    if all(survey.field.std(axis=0).max() < RESOLVED for survey in given):
-        # Nothing tells places apart, and the field has no length.
+    if all(is_constant(survey.field) for survey in given):  # it has no length
         paths = cut(given, max(float(extent(survey).max()) for survey in given), config)
     else:
         tell("learning how the field changes")

@@ -170,19 +170,18 @@ def of_named(
     known, found = [{name, file, FilePath(file).name} for name, file in zip(names, files, strict=True)], []
     for anchor in anchors:
         of = next((k for k, some in enumerate(known) if anchor.log in some), None)
-        span = None if of is None else spans[of]
         if of is None:
-            wrong = f"expected the name of a log ({', '.join(names)}), found {anchor.log!r}"
-        elif span is None:
-            wrong = f"log {anchor.log!r} has no times, which a fixed point needs"
-        elif not span[0] - CLOCKS_APART <= anchor.t <= span[1] + CLOCKS_APART:
+            msg = f"{anchor.source}: expected the name of a log ({', '.join(names)}), found {anchor.log!r}"
+            raise ConfigurationError(msg)
+        span = spans[of]
+        if span is None:
+            msg = f"{anchor.source}: log {anchor.log!r} has no times, which a fixed point needs"
+            raise ConfigurationError(msg)
+        if not span[0] - CLOCKS_APART <= anchor.t <= span[1] + CLOCKS_APART:
             between = f"between {told(span[0])} and {told(span[1])} s, when log {anchor.log!r} was walked"
-            wrong = f"expected a time {between}, found {told(anchor.t)}"
-        else:
-            found.append((anchor, of))
-            continue
-        msg = f"{anchor.source}: {wrong}"
-        raise ConfigurationError(msg)
+            msg = f"{anchor.source}: expected a time {between}, found {told(anchor.t)}"
+            raise ConfigurationError(msg)
+        found.append((anchor, of))
     return found
 
 

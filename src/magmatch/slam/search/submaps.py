@@ -2,6 +2,7 @@
 """Submaps: pieces of earlier path, each mapped by itself and prepared for the search of windows in it."""
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -27,6 +28,13 @@ from magmatch.typing import Indices, Mask, Points
 TOGETHER = 2
 # Posterior samples that give a submap's spread.
 N_DRAWS = 6
+N = TypeVar("N", int, Indices)
+
+
+def submap_of(node: N, first: N) -> N:
+    """First node of the submap that is made for a node's window, where the log's first node is given; or of each."""
+    found: N = node - (node - first) % TOGETHER
+    return found
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -125,11 +125,12 @@ class Tracker:
         if body is None:
             if len(self._bodies) >= self._config.max_clients:
                 self._drop(everyone=True)
-            state = checkpoints.path_of(self._config.states, client)
             try:
-                body = (
-                    Body.resumed(self._known, self._config.localizer, state.read_bytes()) if state.exists() else None
-                )
+                state = checkpoints.path_of(self._config.states, client).read_bytes()
+            except FileNotFoundError:
+                state = None
+            try:
+                body = None if state is None else Body.resumed(self._known, self._config.localizer, state)
             except NotReadyError:
                 return None
             is_resumed = body is not None
