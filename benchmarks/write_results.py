@@ -74,11 +74,17 @@ class History:
         return [path for path in table.covers if not table.commits or differs(path)]
 
     def same_answers(self, commit: str, path: str) -> list[str]:
-        """A commit, and those after it whose code at a path was found to answer the same."""
+        """A commit, and all whose code at a path was found to answer the same, before or after it."""
         found = [commit]
-        if self.alike is not None and any(Path(path).is_relative_to(code) for code in self.alike.covers):
-            for before, after, _ in self.alike.rows:
-                found += [after] if any(not self.code_differs(one, path, before) for one in found) else []
+        if self.alike is None or not any(Path(path).is_relative_to(code) for code in self.alike.covers):
+            return found
+
+        def is_known(end: str) -> bool:
+            return any(not self.code_differs(one, path, end) for one in found)
+
+        pairs = [(before, after) for before, after, _ in self.alike.rows]
+        while more := [end for pair in pairs if any(map(is_known, pair)) for end in pair if end not in found]:
+            found += more
         return found
 
     def code_differs(self, commit: str, path: str, other: str | None = None) -> bool:
