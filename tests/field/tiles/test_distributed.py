@@ -4,7 +4,7 @@
 import contextlib
 import os
 import signal
-import socket
+import socketserver
 import sys
 import threading
 
@@ -101,18 +101,24 @@ def test_scheduler_that_does_not_answer_is_named(tasks, monkeypatch):
         next(run(fit_weights, tasks))
 
 
-def test_another_server_at_the_address_is_no_scheduler(tasks):
-    def answer(server):
-        while True:
-            with contextlib.suppress(ConnectionError), server.accept()[0] as client:
-                client.recv(1)
-                client.sendall(b"HTTP/1.1 400 Bad Request")
+class AnotherServer(socketserver.BaseRequestHandler):
+    """A server that answers each who comes as a web server answers a stranger."""
 
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        threading.Thread(target=answer, args=[server], daemon=True).start()
-        run = DaskRunner(scheduler=f"tcp://127.0.0.1:{server.getsockname()[1]}")
-        with run, pytest.raises(ConfigurationError, match="no Dask scheduler answers"):
-            next(run(fit_weights, tasks))
+    def handle(self):
+        with contextlib.suppress(ConnectionError):
+            self.request.recv(1)
+            self.request.sendall(b"HTTP/1.1 400 Bad Request")
+
+
+def test_another_server_at_the_address_is_no_scheduler(tasks):
+    with socketserver.TCPServer(("127.0.0.1", 0), AnotherServer) as server:
+        threading.Thread(target=server.serve_forever, args=[0.05]).start()
+        run = DaskRunner(scheduler=f"tcp://127.0.0.1:{server.server_address[1]}")
+        try:
+            with run, pytest.raises(ConfigurationError, match="no Dask scheduler answers"):
+                next(run(fit_weights, tasks))
+        finally:
+            server.shutdown()  # returns once the thread has left its loop: it never meets a closed socket
 
 
 def test_missing_extra_is_named(monkeypatch):
