@@ -36,7 +36,7 @@ NAMED = {"office-z30": ("default", "paper"), "corridor": ("default", "paper"), "
 # Of `experiments/many_rooms.py`: share of the target's region that is covered; tolerance in m and degrees.
 ROOMS = {1.0: (0.005, 0.2), 0.5: (0.015, 0.4), 0.15: (0.03, 0.8)}
 N_TRIALS = 10
-# Below it, seeds were used during development.
+# Seeds that CI compares with README; looked at often.
 FIRST = 1000
 
 

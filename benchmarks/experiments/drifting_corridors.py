@@ -31,7 +31,7 @@ from magmatch_evaluation.statistics import wilson_interval
 from magmatch_evaluation.trial import nees_of
 
 COLUMNS = (
-    "drift, m/sqrt(m)", "prior", "n", "accepted", "right", "inaccurate", "wrong", "best pose right",
+    "drift, m/sqrt(m)", "prior", "n", "accepted", "right", "wrong", "inaccurate", "refused", "best pose right",
     "median error, m", "rotation, deg", "NEES",
 )  # fmt: skip
 # Three standard deviations of one number leave out as much as this of six.
@@ -48,9 +48,10 @@ def judged(result: RegistrationResult, pair: SimulatedPair) -> dict[str, float]:
     metres, angle = pose_error(result, pair.T_base_target, pair.target.centroid)
     degrees, nees = float(np.degrees(angle)), nees_of(result, pair.T_base_target)
     is_near = metres < 1.5 and degrees < 8
-    row = {"best": float(is_near), "inaccurate": float(result.status is Status.DEGENERATE)}
+    is_inaccurate = result.status is Status.DEGENERATE
+    row = {"best": float(is_near), "inaccurate": float(is_inaccurate)}
     if not np.isfinite(nees):
-        return row
+        return row | {"refused": float(not is_inaccurate)}
     return row | {
         "accepted": 1.0, "right": float(6 * nees < WITHIN), "wrong": float(not is_near), "nees": nees,
         "metres": metres, "degrees": degrees,
@@ -67,7 +68,7 @@ def corridor(name: str) -> dict[str, dict[str, float]]:
     priors = {"any pose": False, "`--gravity-aligned`": True}
     rows = {prior: judged(register(base, pair.target, aligned=aligned), pair) for prior, aligned in priors.items()}
     accepted = float(register(other, pair.target, aligned=False).is_accepted)
-    return rows | {"another place": {"accepted": accepted, "wrong": accepted}}
+    return rows | {"another place": {"accepted": accepted, "wrong": accepted, "refused": 1 - accepted}}
 
 
 def main() -> None:
@@ -98,7 +99,7 @@ def line(drift: str, prior: str, rows: list[dict[str, float]]) -> list[str]:
         values = [row[name] for row in rows if name in row]
         return f"{of(values):.3g}" if values else ""  # type: ignore[operator]
 
-    shown = [count(name) for name in ("accepted", "right", "inaccurate", "wrong", "best")]
+    shown = [count(name) for name in ("accepted", "right", "wrong", "inaccurate", "refused", "best")]
     return [drift, prior, str(n), *shown, middle("metres"), middle("degrees"), middle("nees", np.mean)]
 
 

@@ -53,7 +53,7 @@ STEP, NOISE_SD, ANOMALY_SD = 0.08, 0.4e-6, 12e-6
 EARTH = np.array([17.83e-6, 0.0, -44.57e-6])
 COLUMNS = (
     "target", "places", "n", "right building first", "and right pose", "accepted and right",
-    "accepted, out of tolerance", "accepted elsewhere", "s a query, one core",
+    "accepted, out of tolerance", "accepted elsewhere", "refused", "s a query, one core",
 )  # fmt: skip
 
 
@@ -180,8 +180,9 @@ def report(name: str, n_places: int, outcomes: Sequence[tuple], *, is_absent: bo
         flush=True,
     )
     found = ["-"] * 3 if is_absent else [str(sum(of_building)), str(sum(right)), str(good)]
-    wrong = [str(n_accepted - good - elsewhere), str(elsewhere)]
-    return [name, str(n_places), str(len(outcomes)), *found, *wrong, f"{median[1]:.2f}"]
+    n = len(outcomes)
+    wrong = [str(n_accepted - good - elsewhere), str(elsewhere), str(n - n_accepted)]
+    return [name, str(n_places), str(n), *found, *wrong, f"{median[1]:.2f}"]
 
 
 def targets(asked: argparse.Namespace, walk: mm.Survey, length: float, *, is_absent: bool) -> Iterator[tuple]:

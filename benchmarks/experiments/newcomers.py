@@ -37,10 +37,11 @@ from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.weigh.bend import DRIFTS
 from magmatch_evaluation.saved_table import saver, show
 from magmatch_evaluation.script import arguments, kept, pose_error, timed
+from magmatch_evaluation.trial import nees_of
 
 COLUMNS = (
-    "pairs", "known of the pose", "n", "right", "best candidate right", "of these accepted", "wrong",
-    "median error of the right", "stated sd", "s a pair",
+    "pairs", "known of the pose", "n", "right", "wrong", "refused", "best candidate right",
+    "of these accepted", "NEES", "median error of the right", "stated sd", "s a pair",
 )  # fmt: skip
 SHARED, NEAR = 20.0, 1.0  # m of path, and from what distance it counts as shared
 TOLERANCE = {"inf": 0.5, "ipin": 1.0}  # m
@@ -155,6 +156,7 @@ def one(data: Path, out: Path, name: str) -> dict[str, Any]:
     return {
         "name": name, "status": str(result.status), "reason": result.reason, "probability": result.probability,
         "error": [distance, float(np.degrees(angle))], "sd": [sd[1], float(np.degrees(sd[0]))], "seconds": seconds,
+        "nees": nees_of(result, T_true),
     }  # fmt: skip
 
 
@@ -165,6 +167,7 @@ class Row:
         self.kind, _, walk, self.mode = row["name"].split(" ", 3)
         self.walk, self.seconds, self.reason = walk, row["seconds"], row["reason"]
         self.error, self.sd = np.array(row["error"], dtype=float), np.array(row["sd"], dtype=float)
+        self.nees = row["nees"]
         self.is_accepted = row["status"] == "accepted"
         m, deg = self.error
         is_near, is_there = m <= TOLERANCE[walk.split("_")[0]], self.kind != "other"
@@ -195,8 +198,10 @@ def table(rows: list[Row]) -> list[list[str]]:
             said += f", or refused naming drift: {sum(r.names_drift for r in these)}"
             said += f", of these found: {sum(r.finds_drift for r in these)}"
         lines.append([
-            f"{KINDS[kind]}, {'server room' if place == 'inf' else 'museum'}", mode, str(n), said, str(len(good)),
-            str(sum(r.is_accepted for r in good)), str(sum(r.is_wrong for r in these)),
+            f"{KINDS[kind]}, {'server room' if place == 'inf' else 'museum'}", mode, str(n), said,
+            str(sum(r.is_wrong for r in these)), str(sum(not r.is_accepted for r in these)), str(len(good)),
+            str(sum(r.is_accepted for r in good)),
+            f"{np.mean([r.nees for r in these if r.is_accepted] or np.nan):.2f}",
             f"{error[0]:.2f} m, {error[1]:.1f} deg", f"{sd[0]:.2f} m, {sd[1]:.1f} deg",
             f"{np.median([r.seconds for r in these]):.1f}",
         ])  # fmt: skip
@@ -204,11 +209,13 @@ def table(rows: list[Row]) -> list[list[str]]:
 
 
 def main() -> None:
-    asked = arguments(__doc__, data=Path, out=Path, quick=False, jobs=1, minutes=np.inf, save=saver)
+    asked = arguments(
+        __doc__, data=Path, out=Path, quick=False, modes=list(MODES), jobs=1, minutes=np.inf, save=saver
+    )
     logging.getLogger("magmatch").setLevel(logging.ERROR)
     asked.out.mkdir(parents=True, exist_ok=True)
     wanted = evenly(pairs(asked.data, asked.out))[:: 8 if asked.quick else 1]
-    names = [f"{pair} {mode}" for mode in reversed(MODES) for pair in wanted]
+    names = [f"{pair} {mode}" for mode in reversed(asked.modes) for pair in wanted]
     make = partial(one, asked.data, asked.out)
     found = kept(asked.out / "rows.jsonl", names, make, jobs=asked.jobs, minutes=asked.minutes)
     show(COLUMNS, table([Row(row) for row in found.values()]), asked.save, found.values())

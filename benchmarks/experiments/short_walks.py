@@ -46,7 +46,7 @@ OTHER_PLACE_M = 1.0
 
 COLUMNS = (
     "floor", "length", "accepted and right", "best pose right", "accepted, out of tolerance", "accepted elsewhere",
-    "median error", "NEES", "s a query", "s a query, one core",
+    "refused", "median error", "NEES", "s a query", "s a query, one core",
 )  # fmt: skip
 
 
@@ -131,7 +131,7 @@ def report(floor: int, length: float, rows: list[Row]) -> list[str]:
         distance, angle = np.median([[1e3 * row["metres"], row["degrees"]] for row in accepted], axis=0)
         error, consistency = f"{distance:.0f} mm, {angle:.2f} deg", f"{np.mean([r['nees'] for r in accepted]):.2f}"
     seconds = [f"{each:.3f}" for each in np.median([row["seconds"] for row in rows], axis=0)]
-    counts = [f"{len(good)} of {n}", sum(map(is_right, rows)), wrong, len(elsewhere)]
+    counts = [f"{len(good)} of {n}", sum(map(is_right, rows)), wrong, len(elsewhere), n - len(accepted)]
     return [str(floor), f"{length:.0f} m", *map(str, counts), error, consistency, *seconds]
 
 

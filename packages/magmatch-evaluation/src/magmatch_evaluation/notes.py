@@ -57,7 +57,7 @@ GROUP_NOTES = {
     ),
     "costs": (
         "Seconds of the processor on one core, maps included (in a first trial also what is compiled on first use); "
-        "the largest memory of the process."
+        "the process's largest memory, in the trial that needed least (later ones keep what others used)."
     ),
 }
 

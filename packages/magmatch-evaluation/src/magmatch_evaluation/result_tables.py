@@ -117,10 +117,10 @@ def refusal_table(title: str, found: Summaries, note: str = "") -> TextTable:
 def cost_table(title: str, found: Summaries, note: str = "") -> TextTable:
     """Lay out time and memory, which differ from run to run."""
     rows = [
-        (experiment, method, f"{s.seconds:.2f}", f"{s.peak_bytes / 2**20:.0f}")
+        (experiment, method, str(s.n), f"{s.seconds:.2f}", f"{s.peak_bytes / 2**20:.0f}")
         for (experiment, method), s in found.items()
     ]
-    header = ("experiment", "method", "median seconds (processor)", "peak memory, MiB")
+    header = ("experiment", "method", "n", "median seconds (processor)", "peak memory, MiB")
     return TextTable(title, header, tuple(rows), note)
 
 

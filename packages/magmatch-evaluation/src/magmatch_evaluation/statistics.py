@@ -46,7 +46,7 @@ class Summary:
     angle_deg: Spread
     nees: float  # mean per degree of freedom over accepted trials that state a covariance; NaN without any
     seconds: float  # median
-    peak_bytes: int  # largest
+    peak_bytes: int  # of the trial with the least: a process keeps what trials before it used
 
 
 # By (experiment, method), in the order of the experiments and their methods.
@@ -82,7 +82,7 @@ def summarize(rows: Sequence[Row], tolerance: Tolerance) -> Summary:
         angle_deg=spread([math.degrees(row.angle) for row in rows]),
         nees=float(np.mean(stated)) if stated else math.nan,
         seconds=float(np.median([row.seconds for row in rows])),
-        peak_bytes=max(row.peak_bytes for row in rows),
+        peak_bytes=min(row.peak_bytes for row in rows),
     )
 
 
