@@ -2,7 +2,7 @@
 """`slam` and `merge` end alike: they write the folder, print a summary, and give the exit code."""
 
 from collections.abc import Sequence
-from math import degrees, hypot, sqrt
+from math import degrees, hypot, pi, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,6 +57,7 @@ def tell(result: "SlamResult") -> str:
     for log in result.logs:
         place, turn = log.sd
         known = f"known to {place:.2g} m, {round(degrees(turn), 4):.2g} degrees"
+        known = known if turn < pi else "not known: nothing holds its heading"
         # Rigid surveys have no odometry and are moved as a whole.
         walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
         lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")

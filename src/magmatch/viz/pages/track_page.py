@@ -19,8 +19,8 @@ def write_track_report(path: str | Path, track: Track, result: LocalizationResul
     """Write one HTML page about a log in a map; it works offline and on a phone."""
     sections = [page.answer(verdict_on(result), steps_after(result))]
     sections += [
-        page.Section(f"In {m.survey.name}", [page.figure_row([path_figure(track, k)])])
-        for k, m in enumerate(track.maps)
+        page.Section(f"In {_name(track, k)}", [page.figure_row([path_figure(track, k)])])
+        for k in range(len(track.maps))
     ]
     columns: dict[str, Callable[[Segment], str]] = {
         "from (s)": lambda s: f"{s.t0:.2f}",
@@ -72,8 +72,8 @@ def path_figure(track: Track, k: int) -> draw.Figure:
 
 
 def _name(track: Track, k: int) -> str:
-    names = dict.fromkeys(e.map for e in track.estimates if e.map is not None)
-    return sorted(names)[k]
+    names = sorted({e.map for e in track.estimates if e.is_stated and e.map is not None})
+    return names[k] if names else track.maps[k].survey.name
 
 
 def status_figure(track: Track) -> draw.Figure:
