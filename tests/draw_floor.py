@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Draw the pictures of docs/floor.md: paths and points before and after slam, |B|, and the held-out walk.
 
-Run: python tests/draw_floor.py FOLDER, in which the commands of the page have run; needs Matplotlib, which no extra installs.
+Run: python tests/draw_floor.py FOLDER, in which the commands of the page have run. Matplotlib is needed, which
+no extra installs.
 """
 
 import sys

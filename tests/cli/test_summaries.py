@@ -49,4 +49,4 @@ def test_the_error_at_fixed_points_that_alone_tell_the_frame_is_said_to_be_no_te
 def test_an_end_whose_heading_nothing_holds_is_said_to_be_unknown():
     log = LogResult("walk", 0, None, 40.0, 0, 0.5, (6.3e3, 370.0))
     said = tell(SlamResult(SlamStatus.CONNECTED, "corrected", (log,)))
-    assert said.endswith("its end not known: nothing holds its heading")
+    assert said.endswith("not known: nothing holds its heading")

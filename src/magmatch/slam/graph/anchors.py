@@ -179,7 +179,9 @@ def of_named(
             raise ConfigurationError(msg)
         if not span[0] - CLOCKS_APART <= anchor.t <= span[1] + CLOCKS_APART:
             between = f"between {told(span[0])} and {told(span[1])} s, when log {anchor.log!r} was walked"
-            msg = f"{anchor.source}: expected a time {between} ({CLOCKS_APART:g} s more counts), found {told(anchor.t)}"
+            msg = (
+                f"{anchor.source}: expected a time {between} ({CLOCKS_APART:g} s more counts), found {told(anchor.t)}"
+            )
             raise ConfigurationError(msg)
         found.append((anchor, of))
     return found
