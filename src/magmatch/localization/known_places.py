@@ -25,7 +25,9 @@ from magmatch.registration.maps import survey_of
 
 Place = FieldMap | MapIndex | Atlas
 T = TypeVar("T")
-ADVICE = "build_map(survey) makes a map, open_atlas(folder) opens a folder of maps"
+ADVICE = (
+    "FieldMap.load(path) reads a saved map, build_map(survey) makes one, open_atlas(folder) opens a folder of maps"
+)
 
 
 class NotReadyError(Exception):

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from magmatch._version import __version__
+from magmatch import __version__
 from magmatch.viz.pages.page import Section, bullets, figure_row, note, paragraph, table, to_copy, write_page
 from magmatch_evaluation.experiments import MAPPING, SWEEP_AXES, SWEEP_WORDS, Experiment
 from magmatch_evaluation.figures import curve_figures, error_figure

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from magmatch._version import __version__
+from magmatch import __version__
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.localization.result import LocalizationResult
 from magmatch.registration.result import RegistrationResult
