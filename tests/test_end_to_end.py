@@ -58,7 +58,7 @@ def test_walks_along_the_path_of_another_are_refined_from_both_sides():
     errors = []
     for seed in (301, 302, 303):
         pair = mm.simulate("corridor", seed)
-        base = prepare_index(mm.build_map(pair.base, SPLINE), PRESETS["default"])
+        base = prepare_index(mm.build_map(pair.base, SPLINE))
         result = mm.register(base, pair.target)
         assert result.is_accepted
         xi = log_se3(result.T_base_target.inv() * pair.T_base_target)
@@ -72,13 +72,12 @@ def test_walks_along_the_path_of_another_are_refined_from_both_sides():
 
 def one_sided(index, target):
     """The pose of the target as a walk in the base's map alone."""
-    config = PRESETS["default"]
-    walks, evidence = index.walks, config.walks.evidence
+    walks = index.walks
     assert not walks.noise.is_learned  # one pass only
-    strategy = WalkStrategy(target, target, config, 0)
+    strategy = WalkStrategy(target, target, PRESETS["default"], 0)
     walk = strategy.pair(index)
     starts = strategy.search(walk).poses
-    best = weigh_walk(walks.base, walk.target, starts, walks.noise, walks.length, walk.prior, evidence)[0]
+    best = weigh_walk(walks.base, walk.target, starts, walks.noise, walks.length, walk.prior)[0]
     return walk.estimate(best).T_base_target
 
 

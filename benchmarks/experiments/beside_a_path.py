@@ -82,7 +82,7 @@ def main() -> None:
             for node in range(0, len(path.windows), TOGETHER):
                 survey, nodes, own, noise, length, _ = maker.piece(path, node).arguments
                 for what, numbers in (("of all paths", maker.hyperparameters), ("its own", own)):
-                    index = make_submap(survey, nodes, numbers, noise, length, None).index
+                    index = make_submap(survey, nodes, numbers, noise, length, False).index
                     for apart in BESIDE:
                         some = beside(survey.positions, apart * maker.length)
                         if len(some) and (one := figures(index, some, truth)) is not None:

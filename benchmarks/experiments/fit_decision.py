@@ -94,7 +94,7 @@ def building(source: Path | None) -> dict[str, Survey]:
 @lru_cache(maxsize=3)
 def walked(walk: str, folder: Path, source: Path | None) -> MapIndex:
     """A walk through the building as a base for walks."""
-    return prepare_index(map_of(building(source)[walk], folder / f"cea-{walk}.map"), CONFIG)
+    return prepare_index(map_of(building(source)[walk], folder / f"cea-{walk}.map"))
 
 
 def weighed(index: MapIndex, target: Survey | mm.FieldMap, samples: Survey, search: str) -> Iterator[Row]:
@@ -135,7 +135,7 @@ def make(name: str, *, folder: Path, source: Path | None) -> Row:
         base, target = (load(folder / "maps" / f"{word}.map") for word in words)
         samples = target.survey
     with one_blas_thread():
-        index = walked(words[0], folder / "maps", source) if what == "walk" else prepare_index(base, CONFIG)
+        index = walked(words[0], folder / "maps", source) if what == "walk" else prepare_index(base)
         tried = list(weighed(index, target, samples, search))
     for one in tried:
         for pose in one["poses"]:

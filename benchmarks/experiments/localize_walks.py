@@ -102,7 +102,7 @@ def indexed(path, surveys):
     """The map at a path with its index, each made where it is not there yet."""
     if not path.exists():
         mm.build_map(surveys(), SPLINE).save(path)
-    return prepare_index(mm.FieldMap.load(path), mm.RegistrationConfig())
+    return prepare_index(mm.FieldMap.load(path))
 
 
 def file_of(walk, data):

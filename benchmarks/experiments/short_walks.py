@@ -74,7 +74,7 @@ def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
     values = raster.values.copy()
     values[(*known[near].T, 3)] = -1.0
     base = replace(index.base, raster=raster._replace(values=values))
-    table = tabulate_pairs(base, walks.length, walks.noise.total_sd, CONFIG.walks.search)
+    table = tabulate_pairs(base, walks.length, walks.noise.total_sd)
     return MapIndex(base, lambda: replace(walks, base=base, table=table))
 
 
@@ -92,7 +92,7 @@ def building(source: Path | None) -> tuple[dict[str, Survey], MapIndex]:
     """The walks, and walk one as a base."""
     walks, rng = load_recordings("cea", source), np.random.default_rng(0)
     base_map, mapping, _ = timed(mm.build_map, walks["training"])
-    walk_index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), CONFIG.walks.search, rng))
+    walk_index, indexing, _ = timed(lambda: index_walks(prepare(base_map, 8, rng), rng))
     print(
         f"base: {len(walks['training'])} samples, map {mapping:.1f} s, index {indexing:.1f} s "
         f"({len(walk_index.table.first)} pairs of points), field length {walk_index.length:.2f} m\n{walk_index.noise}"

@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
-from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import index_path, open_index, prepare_index
 from magmatch.registration.result import RegistrationResult
 
@@ -71,16 +70,16 @@ def test_where_nothing_can_be_kept_the_answer_is_the_same(place, run, tmp_path):
 
 
 def test_nothing_is_kept_of_a_map_that_changed_meanwhile_or_was_made_of_one(place, tmp_path):
-    path, config = tmp_path / "room.map", PRESETS["default"]
+    path = tmp_path / "room.map"
     shutil.copy(place / "base.map", path)
     read = FieldMap.load(path)
     shutil.copy(place / "target.map", path)
-    prepare_index(read, config)
-    prepare_index(FieldMap.load(path).transformed(RigidTransform.from_translation([1, 2, 3])), config)
+    prepare_index(read)
+    prepare_index(FieldMap.load(path).transformed(RigidTransform.from_translation([1, 2, 3])))
     assert not index_path(path).exists()
     shutil.copy(place / "base.map", path)
-    prepare_index(read, config)
-    assert not open_index(MapFile.of(path), config).is_whole
+    prepare_index(read)
+    assert not open_index(MapFile.of(path)).is_whole
 
 
 def test_a_rough_pose_of_a_result_is_taken_and_kept_in_the_settings(place, run):

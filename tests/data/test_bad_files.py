@@ -121,7 +121,7 @@ FOREIGN_CASES = {
     "zipped CSV": (zipped(**{"survey.csv": table(*rows())}), ["zip archive", "unpack"]),
     "damaged zip": (zipped(a="b")[:20], ["damaged zip"]),
     "a saved map": (bytes(8) + b'{"__metadata__":{', ["saved map", "FieldMap.load"]),
-    "a saved session": (dumps("magmatch.slam.session/8", {}), ["magmatch.slam.session/8", "expected a survey"]),
+    "a saved session": (dumps("magmatch.slam.session/9", {}), ["magmatch.slam.session/9", "expected a survey"]),
     "another zip": (zipped(**{"a.bin": "x"}), ["zip archive", "unpack"]),
     "a registration": (b'{"schema": "magmatch.registration/1"}', ["registration result", "expected a survey"]),
     "other JSON": (b'{"schema": "other/1"}', ["other/1"]),

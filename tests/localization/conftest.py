@@ -13,7 +13,6 @@ from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE
 from magmatch.localization.known_map import KnownMap
 from magmatch.localization.localize import localize
-from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import prepare_index
 
 
@@ -23,7 +22,7 @@ def place():
     _, truth = drifting_walk(Place(1), 7, laps=4.0)
     noise = 2e-7 * np.random.default_rng(7).standard_normal(truth.shape)
     field_map = build_map(Survey(truth, Place(1).field(truth) + noise, name="place"), SPLINE)
-    return prepare_index(field_map, RegistrationConfig())
+    return prepare_index(field_map)
 
 
 @pytest.fixture(scope="session")

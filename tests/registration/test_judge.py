@@ -12,6 +12,7 @@ from magmatch.estimation.pose_prior import PosePriorConfig
 from magmatch.field.config import SPLINE
 from magmatch.geometry import random_transform, transform_error
 from magmatch.registration.index.map_index import prepare_index
+from magmatch.registration.search.candidate import SearchResult
 from magmatch.simulation.config import SimulationConfig
 
 
@@ -22,7 +23,7 @@ class Place:
         pair = mm.simulate(scenario, seed, SimulationConfig(n_samples=n_samples))
         # Prepared once for all that is asked of it.
         self.base, self.T = (
-            prepare_index(mm.build_map(pair.base, SPLINE), mm.RegistrationConfig()),
+            prepare_index(mm.build_map(pair.base, SPLINE)),
             pair.T_base_target,
         )
         self.target = pair.target.subset(np.arange(250)) if is_walk else mm.build_map(pair.target, SPLINE)
@@ -96,11 +97,9 @@ def test_candidates_never_make_a_right_answer_wrong(place):
         assert result.probability == pytest.approx(place.found.probability, abs=1e-3)
 
 
-def test_a_candidate_supplies_what_the_search_missed(place):
-    blind = mm.RegistrationConfig.model_validate(
-        {"invariants": {"n_anchors": 10, "n_neighbours": 1, "n_coarse": 1, "n_fine": 1}, "search": "invariants"}
-    )
-    result = mm.register(place.base.field_map, place.target, blind, candidates=[place.T])
+def test_a_candidate_supplies_what_the_search_missed(place, monkeypatch):
+    monkeypatch.setattr("magmatch.registration.map_strategy.invariant_search", lambda *_: SearchResult())
+    result = mm.register(place.base, place.target, mm.RegistrationConfig(search="invariants"), candidates=[place.T])
     assert result.is_accepted
     assert transform_error(result.T_base_target, place.T, place.center)[0] < 0.05
 

@@ -21,8 +21,7 @@ from magmatch.registration.weigh.evidence import Change, weigh_pose
 
 RNG = np.random.default_rng(0)
 FIELD = some_field(3, slope=10e-6)
-REFINEMENT = RefinementConfig(sensor=SensorConfig(mode="none"))
-CONFIG = RegistrationConfig(refinement=REFINEMENT)
+CONFIG = RegistrationConfig(refinement=RefinementConfig(sensor=SensorConfig(mode="none")))
 T_BASE, T_TARGET = random_transform(RNG), random_transform(RNG)
 
 
@@ -36,7 +35,7 @@ def settled(spread=0.0, **changes):
     strategy = MapStrategy(target, CONFIG, 0)
     pair = strategy.pair(MapIndex(base, lambda: None))
     here = RigidTransform.identity()
-    pose = refine(base, target, here, pair.prior, REFINEMENT, np.random.default_rng(0), -1)
+    pose = refine(base, target, here, pair.prior, "none", np.random.default_rng(0), -1)
     blocks = tuple(replace(b, drift=1e-3 * b.information**2 / np.abs(b.information).max()) for b in pose.blocks)
     best = weigh_pose(base, target, replace(pose, blocks=blocks), null_models_of(base, target), pair.prior)
     return pair, strategy, replace(best, **changes)
@@ -60,7 +59,7 @@ def test_a_pose_is_stated_as_its_cells_show_it_in_the_surveys_frames():
 def test_links_join_the_samples_that_the_base_explains_and_sensors_differ_in_the_targets_survey_axes():
     pair, strategy, best = settled()
     D = np.array([[0.02, 0.01, 0.0], [0.0, -0.01, 0.03], [0.01, 0.0, 0.005]])
-    sensor = identical_sensors(SensorConfig(mode="full"), 1).stepped(np.array([1e-6, 2e-6, -1e-6, *D.ravel()]))
+    sensor = identical_sensors("full", 1).stepped(np.array([1e-6, 2e-6, -1e-6, *D.ravel()]))
     half = np.arange(300) % 2 == 0
     block = replace(best.pose.blocks[0], positions=pair.target.samples, residual2=FAR2 * np.where(half, 0.99, 1.01))
     pose = replace(best.pose, sensor=sensor, sensor_sd=np.full(12, 1e-6), blocks=(block,))
@@ -79,7 +78,7 @@ def test_links_join_the_samples_that_the_base_explains_and_sensors_differ_in_the
 @pytest.mark.parametrize("spread", [0.0, 1e-6])
 def test_a_settled_pose_is_as_wide_as_cells_or_maps_show_and_drifts_with_the_surveys(spread):
     pair, strategy, best = settled(spread)
-    of_maps = map_covariance(pair.base, pair.target, best.pose, REFINEMENT, 0)
+    of_maps = map_covariance(pair.base, pair.target, best.pose, 0)
     drift = drift_covariance(best.pose)
     final, _ = strategy.settle(pair, best)
     expected = in_survey_axes(enclosing(best.covariance, of_maps) + drift)

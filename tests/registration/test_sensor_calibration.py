@@ -100,7 +100,7 @@ def test_what_was_undone_can_be_undone_again_from_the_result(raw, found):
 @pytest.mark.slow
 def test_a_raw_base_is_calibrated_whatever_form_it_comes_in(base_map, raw):
     raw_map = build_map(raw[0], SPLINE)
-    forms = raw_map, prepare_index(raw_map, POINTS)
+    forms = raw_map, prepare_index(raw_map)
     results = [register(form, base_map, POINTS) for form in forms]
     for result in results:
         assert result.is_accepted

@@ -18,13 +18,8 @@ from magmatch.registration.register import register
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
 
-# Few of everything: what counts is whether a setting is read.
 FIELD = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
-FEW: dict[str, Any] = {
-    "field": FIELD,
-    "invariants": {"n_anchors": 80, "n_neighbours": 8, "n_coarse": 100, "n_fine": 10},
-    "refinement": {"n_samples": 200, "n_ranking_samples": 100},
-}
+MAPPED = {"field": FIELD}
 PAPER = {
     "search": "keypoints",
     "field": FIELD,
@@ -38,32 +33,25 @@ PAPER = {
 }
 # Where an effect is looked for: scenario, seed, samples, settings of the simulation, settings of the registration.
 CASES: dict[str, tuple[str, int, int, dict[str, Any], dict[str, Any]]] = {
-    "room": ("office-random", 3, 250, {}, FEW),
-    "spiked": ("office-random", 3, 400, {}, {"field": FIELD} | FEW),
-    "faint": ("office-random", 5, 250, {"noise_sd": 6e-6}, FEW),
-    "biased": ("office-random", 4, 250, {"bias": (3e-6, -3e-6, 3e-6), "scale": 0.03}, FEW),
-    "repeated": ("repeated", 2, 400, {}, FEW | {"refinement": FEW["refinement"] | {"clear_log_evidence": 1e6}}),
-    "upright": ("office-z30", 3, 250, {}, FEW | {"prior": {"is_gravity_aligned": True}}),
-    "level": ("office-z30", 3, 250, {}, FEW | {"prior": {"is_planar": True}}),
-    "posed": ("office-z30", 3, 250, {}, FEW | {"prior": {"pose": (0, 0, 0, 0, 0, 0.26, 0.966)}}),
-    "walk": ("office-hand-held", 3, 600, {}, {"search": "pairs", "calibrate": False}),
-    "walk, much mapped": ("office-hand-held", 3, 2000, {}, {"search": "pairs", "calibrate": False}),
-    "walk, learned": ("office-hand-held", 3, 2000, {}, {"search": "pairs", "calibrate": False}),
+    "room": ("office-random", 3, 250, {}, MAPPED),
+    "spiked": ("office-random", 3, 400, {}, MAPPED),
+    "faint": ("office-random", 5, 250, {"noise_sd": 6e-6}, MAPPED),
+    "biased": ("office-random", 4, 250, {"bias": (3e-6, -3e-6, 3e-6), "scale": 0.03}, MAPPED),
+    "upright": ("office-z30", 3, 250, {}, MAPPED | {"prior": {"is_gravity_aligned": True}}),
+    "level": ("office-z30", 3, 250, {}, MAPPED | {"prior": {"is_planar": True}}),
+    "posed": ("office-z30", 3, 250, {}, MAPPED | {"prior": {"pose": (0, 0, 0, 0, 0, 0.26, 0.966)}}),
     "paper": ("office-z30", 3, 300, {"noise_sd": 5e-6}, PAPER),
 }
 # Settings of a group, or one alone, show in these cases, asked in turn.
 SHOWS = {
     "field.leave_out_outliers": ["spiked"],
-    "invariants.n_fine": ["repeated"],
     "prior.gravity_sd": ["upright"],
     "prior.height_sd": ["level"],
     "field": ["room", "spiked"],
     "search": ["room"],
-    "invariants": ["room", "repeated"],
     "prior": ["posed", "upright", "level"],
-    "walks": ["walk, much mapped", "walk", "walk, learned"],
     "keypoints": ["paper"],
-    "refinement": ["room", "repeated", "biased"],
+    "refinement": ["biased"],
     "decision": ["room", "faint"],
 }
 # Values that are no number times a factor, or of which one shows sooner.
@@ -73,8 +61,6 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "field.spacing": (0.45,),
     "field.domain": ((-1, -1, -1, 0.2, 1, 1),),
     "search": ("pairs",),
-    "walks.search.max_pairs": (1000,),
-    "walks.search.n_coarse": (6,),
     "keypoints.consensus.n_samples": (3,),
     "keypoints.consensus.sample_size": (2,),
     "prior.pose": ((9, 9, 9, 0, 0, 0, 1),),
@@ -93,9 +79,9 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "decision.max_sd_rotation": (1e-4,),
 }
 # Asked elsewhere: what 'auto' found, kept with the settings that it led to; settings of which the tests of their own
-# stage show both sides (`test_fitness.py`, `refine/test_changes.py`, `test_sensor_calibration.py`,
+# stage show both sides (`test_fitness.py`, `test_sensor_calibration.py`,
 # `field/test_sensor_biases.py`).
-ELSEWHERE = ("field.comparison", "field.sensor_bias_sd", "keypoints.decision.", "changes.", "calibrate")
+ELSEWHERE = ("field.comparison", "field.sensor_bias_sd", "keypoints.decision.", "calibrate")
 FACTORS = (3, 0.3, 0.05, 1e3, 1e-3, 0.0)
 
 
@@ -125,12 +111,6 @@ def pair(case):
     base, target = made.base, made.target
     if case == "spiked":
         target = replace(target, field=target.field + np.where(np.arange(n) % 80, 0, 40e-6)[:, None])
-    if case.startswith("walk"):
-        # A stretch that leaves the map, with metal beside a part of it.
-        target = target.subset(np.arange(120))
-        target = replace(target, field=target.field + np.where(np.abs(np.arange(120) - 50) < 8, 15e-6, 0)[:, None])
-        # Less than all of it passes places too seldom to show what residuals along a path are like.
-        base = base if case == "walk, learned" else base.subset(base.positions[:, 0] < 0.5)
     return base, target
 
 
@@ -139,13 +119,11 @@ def maps(case):
     """What does not depend on the settings in question, made once: maps, and the index of a base."""
     config = RegistrationConfig.model_validate(CASES[case][4])
     base, target = (build_map(survey, config.field) for survey in pair(case))
-    return (base if config.search == "keypoints" else prepare_index(base, config)), target
+    return (base if config.search == "keypoints" else prepare_index(base)), target
 
 
 def answer(case, config, group):
     base, target = pair(case) if group == "field" else maps(case)
-    if case.startswith("walk") and group == "walks.search":
-        base = base.field_map
     found = register(base, target, config).to_dict()
     return {key: found[key] for key in found if key not in ("seconds", "config")}
 
@@ -177,7 +155,7 @@ def asked() -> Iterator[Any]:
 
 @pytest.mark.parametrize(("name", "default"), list(asked()))
 def test_a_setting_changes_an_answer_or_raises(name, default):
-    group = "walks.search" if name.startswith("walks.search") else name.split(".")[0]
+    group = name.split(".")[0]
     for case in SHOWS.get(name) or SHOWS[name.split(".")[0]]:
         value_here = dict(leaves(RegistrationConfig.model_validate(CASES[case][4])))[name]
         for value in others(name, value_here if value_here is not None else default):

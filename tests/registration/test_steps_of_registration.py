@@ -33,7 +33,7 @@ def test_a_walk_is_compared_with_every_sample_that_was_given():
     made = simulate("office-hand-held", 3, SimulationConfig(n_samples=2000))
     config = RegistrationConfig(search="pairs")
     # This base passes places twice: it shows what residuals along a path are like.
-    base, target = prepare_index(build_map(made.base, SPLINE), config), made.target.subset(np.arange(240))
+    base, target = prepare_index(build_map(made.base, SPLINE)), made.target.subset(np.arange(240))
     fewer = build_map(target.subset(np.arange(0, len(target), 2)), SPLINE)
     alone, mapped = (register_once(base, used, target, config, 0, Clock())[2] for used in (target, fewer))
     assert alone.is_accepted, alone.reason
@@ -45,7 +45,7 @@ def test_the_likelier_of_two_looks_at_one_map_counts():
     # A line that crosses itself is looked at as a map and, where that is refused, as a walk.
     made, config = simulate("corridor", 0, SimulationConfig(n_samples=300)), RegistrationConfig()
     numbers = FieldConfig(prior="spline", lengthscale=1.0, signal_sd=8e-6, noise_sd=4e-7, spacing=0.5)
-    base = prepare_index(build_map(made.base, numbers), config)
+    base = prepare_index(build_map(made.base, numbers))
     both, walk = (
         register_once(base, made.target, made.target, config.model_copy(update={"search": search}), 0, Clock())[2]
         for search in ("auto", "pairs")
@@ -197,13 +197,13 @@ def test_a_duplicated_sample_adds_next_to_nothing():
     """
     made = simulate("office-random", 3, SimulationConfig(n_samples=300, room_size=(2.0, 2.0, 0.8)))
     numbers = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
-    config = RegistrationConfig.model_validate({"field": numbers, "changes": {"n_candidates": 1}, "calibrate": False})
+    config = RegistrationConfig.model_validate({"field": numbers, "calibrate": False})
 
     def times(n, survey):
         rows = np.repeat(np.arange(len(survey)), n)
         return Survey(survey.positions[rows], survey.field[rows])
 
-    bases = [prepare_index(build_map(times(n, made.base), config.field), config) for n in (1, 2)]
+    bases = [prepare_index(build_map(times(n, made.base), config.field)) for n in (1, 2)]
     targets = [build_map(times(n, made.target), config.field) for n in (1, 2)]
     once, target_twice, base_twice, both_twice = (register(b, t, config) for b in bases for t in targets)
     for result in (target_twice, base_twice, both_twice):

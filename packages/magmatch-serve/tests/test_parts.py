@@ -19,7 +19,6 @@ from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
-from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import index_path, open_index, prepare_index
 from magmatch_serve.allowance import Allowance, Allowances
 from magmatch_serve.bodies import checkpoints
@@ -206,13 +205,13 @@ def test_a_map_is_prepared_once_for_all_processes_that_the_service_starts(hall, 
     build_map(hall.walk(2)[0].subset(np.arange(60)), numbers).save(place)
     prepare_once(place)
     whole, made_at = index_path(place).read_bytes(), index_path(place).stat().st_mtime_ns
-    assert open_index(MapFile.of(place), RegistrationConfig()).is_whole
+    assert open_index(MapFile.of(place)).is_whole
     prepare_once(place)
     assert index_path(place).stat().st_mtime_ns == made_at
     # What the registration of no walk leaves is not all that is needed.
     index_path(place).unlink()
-    prepare_index(FieldMap.load(place), RegistrationConfig())
-    assert not open_index(MapFile.of(place), RegistrationConfig()).is_whole
+    prepare_index(FieldMap.load(place))
+    assert not open_index(MapFile.of(place)).is_whole
     prepare_once(index_path(place))
     assert index_path(place).read_bytes() == whole
 

@@ -36,6 +36,14 @@ TURNS = (
     Turns("positions apart", 0.3, carry_positions=False, rates=RATES[:4]),
 )
 EACH_DRIFT = -float(np.log(sum(len(turns.rates) for turns in TURNS)))
+# For each correlation length of a walk's path that its pose leaves unexplained: outside the base map, as there are
+# many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
+UNEXPLAINED = -3.0
+
+
+def path_weight(path: float, share: Scalars | float) -> Scalars:
+    """Log prior weight of poses of a walk, by the share of its path (in correlation lengths) inside the base."""
+    return np.asarray(UNEXPLAINED * path * (1 - share))
 
 
 def overlap_weight(share: Scalars | float) -> Scalars:

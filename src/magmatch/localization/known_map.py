@@ -11,7 +11,6 @@ from magmatch.estimation.path_noise import PathNoise
 from magmatch.field.map import FieldMap
 from magmatch.geometry import rotation_matrix
 from magmatch.localization.config import LocalizerConfig
-from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.typing import Covariance6, Matrix, Points, Scalars, Vector3
 
@@ -76,7 +75,7 @@ class KnownMap:
     @classmethod
     def of(cls, place: FieldMap | MapIndex) -> "KnownMap":
         """Make a map, or one that is indexed, ready."""
-        index = prepare_index(place, RegistrationConfig())
+        index = prepare_index(place)
         base, noise = index.base, index.walks.live_noise
         raster = index.raster(RASTER_SPACING * index.length)
         anchors = base.samples[thin(base.samples, ANCHOR_SPACING * index.length, MAX_ANCHORS)]

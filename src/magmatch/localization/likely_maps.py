@@ -99,7 +99,7 @@ class LikelyMaps:
             self._n_until_vote = round(VOTE_EVERY / BIN_LENGTH)
             p, b = self._bins["p"], np.stack([one["R"] @ one["z"] for one in self._bins])
             tables = [entry.table for entry in atlas.entries]
-            self._voting = self.known.aside(count_votes, tables, Survey(p, b), atlas.config.walks.search, 0)
+            self._voting = self.known.aside(count_votes, tables, Survey(p, b), 0)
         if self._voting is None or not self._voting.done():
             return
         votes, self._voting = self._voting.result(), None

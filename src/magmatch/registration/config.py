@@ -11,23 +11,12 @@ from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.published.config import LITERAL, PublishedConfig
 from magmatch.published.register import FIELD
 from magmatch.registration.decide.decision import DecisionConfig
-from magmatch.registration.refine.changes import ChangeConfig
 from magmatch.registration.refine.refinement import RefinementConfig
-from magmatch.registration.search.invariant_search import InvariantSearchConfig
-from magmatch.registration.search.pair_search import PairSearchConfig
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 
 
-class WalkConfig(Settings):
-    """Everything that shapes the registration of a walk, stage by stage."""
-
-    search: PairSearchConfig = Field(default_factory=PairSearchConfig)
-    evidence: LineConfig = Field(default_factory=LineConfig)
-
-
 class RegistrationConfig(Settings):
-    """Everything that shapes a registration, stage by stage."""
+    """What a user knows and asks for; how much is tried is in `estimation/limits.py`."""
 
     # How surveys are mapped.
     field: FieldConfig = SPLINE
@@ -35,17 +24,13 @@ class RegistrationConfig(Settings):
     # gradient across it is unknown; 'auto': pairs for short lines, invariants otherwise and if pairs refuse;
     # 'keypoints': the published method, which uses only `field` and `keypoints`.
     search: Literal["auto", "invariants", "pairs", "keypoints"] = "auto"
-    invariants: InvariantSearchConfig = Field(default_factory=InvariantSearchConfig)
     # If readings turn with their sensor, calibrate it as `magmatch prepare` does, register again, and keep the better
     # answer.
     calibrate: bool = True
     # What is known of the pose beforehand.
     prior: PosePriorConfig = Field(default_factory=PosePriorConfig)
-    walks: WalkConfig = Field(default_factory=WalkConfig)
     keypoints: PublishedConfig = Field(default_factory=PublishedConfig)
     refinement: RefinementConfig = Field(default_factory=RefinementConfig)
-    # What moved between the surveys.
-    changes: ChangeConfig = Field(default_factory=ChangeConfig)
     decision: DecisionConfig = Field(default_factory=DecisionConfig)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from magmatch.data.survey import Survey
+from magmatch.estimation.limits import N_DRAWS
 from magmatch.estimation.model_prior import overlap_weight
 from magmatch.estimation.pose_prior import PosePrior, pose_prior
 from magmatch.field.map import FieldMap
@@ -20,6 +21,7 @@ from magmatch.registration.maps import as_map
 from magmatch.registration.pair import Pair
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range, prepare
+from magmatch.registration.refine.sensors import SensorMode
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import invariant_search
 from magmatch.registration.weigh.bend import Bend, bend_of_map
@@ -44,13 +46,18 @@ class MapStrategy:
         with clock("maps"):
             target_map = as_map(target, config.field)
         with clock("prepare"):
-            prepared = prepare(target_map, config.invariants.n_draws, np.random.default_rng(seed))
+            prepared = prepare(target_map, N_DRAWS, np.random.default_rng(seed))
         return cls(prepared, config, seed)
 
     @property
     def target(self) -> FieldMap:
         """The target as it was used."""
         return self.prepared.field_map
+
+    @property
+    def sensors(self) -> SensorMode:
+        """What may differ between the two magnetometers."""
+        return self.config.refinement.sensor.mode
 
     def likely(self, bases: Bases) -> list[Any]:
         """Those in which a few poses agree best, the best first: they are searched in full."""
@@ -67,13 +74,12 @@ class MapStrategy:
     def search(self, pair: MapPair) -> SearchResult:
         """Poses under which local frames and invariants agree."""
         rng = np.random.default_rng(self.seed)
-        return invariant_search(pair.base, pair.target, pair.prior, self.config.invariants, rng)
+        return invariant_search(pair.base, pair.target, pair.prior, rng)
 
     def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> list[PoseEvidence]:
         """Refine poses against both maps, and weigh them; each cell of the target is evidence for or against."""
-        settings = self.config.refinement, self.config.changes
         return rank_poses(
-            pair.base, pair.target, found.poses, pair.prior, *settings, self.seed, is_unordered=found.is_unordered
+            pair.base, pair.target, found.poses, pair.prior, self.sensors, self.seed, is_unordered=found.is_unordered
         )
 
     def state(self, pair: MapPair, pose: PoseEvidence) -> tuple[Estimate, Support]:
@@ -93,13 +99,13 @@ class MapStrategy:
         covariance = pose.covariance
         # Where a change was estimated, its covariance already covers this.
         if not pose.is_beside_change:
-            of_maps = map_covariance(pair.base, pair.target, pose.pose, self.config.refinement, self.seed)
+            of_maps = map_covariance(pair.base, pair.target, pose.pose, self.seed)
             covariance = enclosing(covariance, of_maps)
         return self.state(pair, replace(pose, covariance=covariance + drift_covariance(pose.pose)))
 
     def bend(self, pair: MapPair, pose: PoseEvidence) -> Bend | None:
         """The difference between the poses of the path's halves; what drifts can look as if something had moved."""
-        return bend_of_map(pair.base, pair.target, pose.pose, pair.prior, self.config.refinement, self.seed)
+        return bend_of_map(pair.base, pair.target, pose.pose, pair.prior, self.sensors, self.seed)
 
 
 def with_prior(pose: PoseEvidence, prior: PosePrior) -> PoseEvidence:

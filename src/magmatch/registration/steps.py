@@ -72,7 +72,7 @@ def register_once(
     if config.search == "keypoints" and not isinstance(base, Atlas):
         return _by_published_method(base, target, config, seed, clock)
     with clock("prepare"):
-        bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base, config), config)
+        bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base), config)
     weighed = dict[Any, Weighed]()
     best: Any = None
     answer = None

@@ -10,8 +10,6 @@ from pydantic import Field
 from magmatch.data.geodesy import MOST_LATITUDE, MOST_LONGITUDE
 from magmatch.preparation.odometry.drift import Drift, OdometryConfig
 from magmatch.registration.decide.decision import DecisionConfig
-from magmatch.registration.search.pair_search import PairSearchConfig
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 from magmatch.settings import Settings
 from magmatch.typing import Indices
 
@@ -49,8 +47,6 @@ class SlamConfig(Settings):
     # Probability that a window revisits a place, and that its neighbour then does too.
     revisit_share: float = Field(default=0.5, gt=0, lt=1)
     keeps_on: float = Field(default=0.8, gt=0, lt=1)
-    search: PairSearchConfig = Field(default_factory=PairSearchConfig)
-    evidence: LineConfig = Field(default_factory=LineConfig)
 
     @property
     def drifts(self) -> Indices:

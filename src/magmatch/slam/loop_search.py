@@ -160,7 +160,7 @@ class LoopSearch:
             tasks = [Task(f"the map of windows {a} to {a + TOGETHER - 1}", (self.submap(a),)) for a in unknown]
             self._tables.update(zip(unknown, self.run(table_of, tasks, keep=False), strict=True))
             tables = [self._tables[a] for a in new]
-            counted = count_votes(tables, window.survey, self.places.graph.config.search, 0)
+            counted = count_votes(tables, window.survey, 0)
             voted.update(zip(new, counted.tolist(), strict=True))
         return voted
 

@@ -143,7 +143,7 @@ def _register_pairs(
 ) -> list[Closure]:
     """Closures between all pairs that registration accepts."""
     pairs, names = list(combinations(range(len(maps)), 2)), unique_stems([survey.name for survey in samples])
-    bases = [Shared(prepare_index, (one, config), len(survey)) for one, survey in zip(maps, samples, strict=True)]
+    bases = [Shared(prepare_index, (one,), len(survey)) for one, survey in zip(maps, samples, strict=True)]
     tasks = [Task(f"{names[a]} and {names[b]}", (bases[a], maps[b], config, seed)) for a, b in pairs]
     closures: list[Closure] = []
     for (a, b), found in zip(pairs, run(_register, tasks, "registering pairs"), strict=True):

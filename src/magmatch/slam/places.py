@@ -163,7 +163,7 @@ def begin(
         log.info("field length %.2f m; %d windows of %.1f m", length, n_windows, walked)
         # A guess of the field that does not repeat from walk to walk, before any two were compared.
         noise = PathNoise.guess(length, 0.25 * h.signal_sd, 0.25 * h.noise_sd, 0.1 * h.signal_sd)
-        maker = SubmapMaker(h, measured, noise, length, config.search)
+        maker = SubmapMaker(h, measured, noise, length)
     places = Places(paths, odometry_graph(paths, config), config, maker, biases, [*anchors])
     places.solve()
     return places

@@ -148,7 +148,7 @@ def _factors(places: Places, path: Path, run: Runner, *, later: bool) -> Iterato
     asked, tasks = [], []
     for window in path.windows:
         if window.keeps_shape and (submap := known.submap(window, graph, later=later)) is not None:
-            about = (submap.survey, submap.node, hyperparameters, maker.noise, maker.length, None)
+            about = (submap.survey, submap.node, hyperparameters, maker.noise, maker.length, False)
             expected = expected_beside(window, np.array([submap.best_known]), graph)[submap.best_known]
             arguments = (window, Shared(make_submap, about, len(submap.node)), expected, maker.noise, nowhere)
             asked.append((window, submap))

@@ -8,7 +8,7 @@ from hand_made import Polynomial, box, prepared_map, some_field
 from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.registration.prepared.drift import Drift, white_variance
-from magmatch.registration.refine.refinement import RefinementConfig, refine
+from magmatch.registration.refine.refinement import refine
 from magmatch.registration.weigh.covariance import drift_covariance
 
 # 10 uT times (x^2 - y^2, -2 x y, 0): its gradient grows with the distance from the middle.
@@ -78,6 +78,6 @@ def test_a_survey_that_is_off_as_a_whole_takes_the_pose_along_as_far():
     field = some_field(3, slope=10e-6)
     whole = [Drift(0.0, sd, np.zeros(n, dtype=np.int64), np.ones((1, 1))) for sd in (0.03, 0.1)]
     base, target = (prepared_map(field, box(rng, n), rng, spacing=0.05, drift=drift) for drift in whole)
-    pose = refine(base, target, RigidTransform.identity(), PosePrior(10.0), RefinementConfig(), rng)
+    pose = refine(base, target, RigidTransform.identity(), PosePrior(10.0), "auto", rng)
     expected = np.diag([0.0] * 3 + [0.03**2 + 0.1**2] * 3)
     np.testing.assert_allclose(drift_covariance(pose), expected, atol=1e-6)

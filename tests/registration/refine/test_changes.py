@@ -13,8 +13,8 @@ from magmatch.geometry import perturbation, random_transform, rotate_vectors, tr
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.refine import changes
-from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
-from magmatch.registration.refine.refinement import RefinementConfig, refine
+from magmatch.registration.refine.changes import MAX_MISFIT, refine_beside_changes
+from magmatch.registration.refine.refinement import refine
 from magmatch.registration.weigh import change_search
 from magmatch.registration.weigh.cells import agreeing_cells, compare_cells, null_models_of
 from magmatch.registration.weigh.change_search import ChangeSearch
@@ -22,8 +22,20 @@ from magmatch.registration.weigh.covariance import drift_covariance, joint_covar
 from magmatch.registration.weigh.evidence import weigh_pose
 
 FLAT = PosePrior(10.0)
-# One candidate, in a small room.
-REFINEMENT, CONFIG = RefinementConfig(), ChangeConfig(n_samples=600, n_candidates=1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_room():
+    """It takes fewer samples, and one candidate is enough."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(changes, "CHANGE_SAMPLES", 600)
+        patch.setattr(change_search, "N_CHANGED", 1)
+        yield
+
+
+@pytest.fixture
+def few_charges(monkeypatch):
+    monkeypatch.setattr(changes, "N_CHARGES", 100)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +58,7 @@ def moved(make_moved_pair):
 @pytest.fixture(scope="module")
 def ordinary(moved):
     base, target, T_model, _ = moved
-    return refine(base, target, T_model, FLAT, REFINEMENT, np.random.default_rng(0))
+    return refine(base, target, T_model, FLAT, "auto", np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +71,10 @@ def whole(moved, ordinary, nulls):
     return weigh_pose(*moved[:2], ordinary, nulls, FLAT)
 
 
-def pose_beside(base, target, start, agrees=None, config=CONFIG):
+def pose_beside(base, target, start, agrees=None):
     """A pose refined beside a change, of samples that agree: all, unless others are named."""
     agrees = np.ones(len(target.samples), dtype=bool) if agrees is None else agrees
-    return refine_beside_changes(base, target, start, agrees, FLAT, config, np.random.default_rng(0))
+    return refine_beside_changes(base, target, start, agrees, FLAT, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +111,7 @@ def test_stated_drift_spreads_a_pose_beside_a_change_as_residuals_do(moved, ordi
     n = len(target.samples)
     drifting = replace(target, drift=Drift(0.02, 0.02, np.arange(n), np.eye(n)))
     found = pose_beside(base, drifting, replace(ordinary, T_base_target=T_model))
-    plain = refine(base, drifting, T_model, FLAT, REFINEMENT, np.random.default_rng(0))
+    plain = refine(base, drifting, T_model, FLAT, "auto", np.random.default_rng(0))
     forward = replace(plain, blocks=plain.blocks[:1])
     by_drift, by_residuals = (
         np.sqrt(np.trace(spread(found.pose)) / np.trace(spread(forward)))
@@ -131,8 +143,8 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit_and_
     moved, ordinary, nulls, whole
 ):
     base, target, T_model, _ = moved
-    assert whole.misfit > CONFIG.max_misfit
-    best = ChangeSearch(base, target, nulls, FLAT, CONFIG, 0).poses([T_model], whole, ordinary)[0]
+    assert whole.misfit > MAX_MISFIT
+    best = ChangeSearch(base, target, nulls, FLAT, 0).poses([T_model], whole, ordinary)[0]
     assert best.is_beside_change
     assert best.misfit < 1.0
     seen = compare_cells(base, target, T_model, target.sample_field, nulls.target)
@@ -143,7 +155,7 @@ def test_a_pose_beside_a_change_takes_the_place_of_one_that_leaves_a_misfit_and_
 def test_what_changed_may_also_be_left_out_and_not_estimated(moved, ordinary, nulls, whole):
     """Another model of the same pose, by the evidence of the cells that agree."""
     base, target, T_model, _ = moved
-    search = ChangeSearch(base, target, nulls, FLAT, CONFIG, 0)
+    search = ChangeSearch(base, target, nulls, FLAT, 0)
     estimated, left_out = sorted(search.poses([T_model], whole, ordinary), key=lambda one: one.model)
     assert (estimated.model, left_out.model) == ("rigid, changed", "rigid, without changed cells")
     rows, agreement, _, n_cells = search._agreement(left_out.pose)
@@ -171,49 +183,31 @@ def test_choices_of_cells_that_take_turns_end_with_one_of_them(moved, ordinary, 
     monkeypatch.setattr(ChangeSearch, "_agreement", choose)
     monkeypatch.setattr(change_search, "refine_beside_changes", lead)
     start = replace(ordinary, T_base_target=T_model)
-    assert ChangeSearch(base, target, nulls, FLAT, CONFIG, 0)._follow(start) is not None
+    assert ChangeSearch(base, target, nulls, FLAT, 0)._follow(start) is not None
 
 
-OTHER = {"is_enabled": False, "max_misfit": 1e3, "n_candidates": 1, "n_samples": 200, "n_charges": 100}
-
-
-def test_each_setting_changes_what_is_found(moved, ordinary, nulls, whole):
-    """From two starts, one of them rough."""
-    base, target, T_model, _ = moved
-    starts = [T_model * perturbation(np.array([0.05, 0.02, 0.06, 0.06, 0.04, 0.02]), ordinary.center), T_model]
-    small = ChangeConfig(n_samples=250, n_charges=120, n_candidates=2)
-
-    def evidence(**setting):
-        search = ChangeSearch(base, target, nulls, FLAT, small.model_copy(update=setting), 0)
-        return [one.log_evidence for one in search.poses(starts, whole, ordinary)]
-
-    usual = evidence()
-    assert usual
-    assert OTHER.keys() == ChangeConfig.model_fields.keys()
-    for name, value in OTHER.items():
-        assert evidence(**{name: value}) != usual, name
-
-
+@pytest.mark.usefixtures("few_charges")
 def test_where_nothing_changed_the_odds_are_those_of_a_constant_field_beside_a_known_one():
     """A uniform field: what explains the target is known against drawn from a normal density, by hand."""
     rng, sd = np.random.default_rng(1), 0.3e-6
     base, target = (prepared_map(Polynomial(), box(rng, 120), rng, noise_sd=sd) for _ in range(2))
     here = RigidTransform.identity()
     known = PosePrior(10.0, here, 1e-6 * np.eye(6))  # of which a uniform field says nothing
-    pose = replace(refine(base, target, here, known, RefinementConfig(n_steps=1), rng), T_base_target=here)
+    pose = replace(refine(base, target, here, known, "auto", rng), T_base_target=here)
     agrees = np.ones(120, dtype=bool)
-    found = refine_beside_changes(base, target, pose, agrees, known, ChangeConfig(n_charges=100), rng)
+    found = refine_beside_changes(base, target, pose, agrees, known, rng)
     # ln N(0; noise) - ln N(constant; CONSTANT^2 + noise / n); what noise leaves is as large on both sides.
     expected = 1.5 * np.log(1 + 120 * (1e-4 / sd) ** 2) + 0.5 * (EARTH**2).sum() / 1e-4**2
     assert found.log_ratio == pytest.approx(expected, abs=6)
 
 
+@pytest.mark.usefixtures("few_charges")
 def test_charges_that_stand_for_nothing_leave_turns_as_well_known_and_scores_that_scatter_as_stated():
     """Against a refinement without them; they answer a shift, a turn of the Earth's field hardly."""
     rng = np.random.default_rng(2)
     base, target = (prepared_map(some_field(3, bend=40e-6), box(rng, 400), rng) for _ in range(2))
-    ordinary = refine(base, target, RigidTransform.identity(), FLAT, REFINEMENT, rng)
-    found = pose_beside(base, target, ordinary, config=ChangeConfig(n_samples=400, n_charges=100))
+    ordinary = refine(base, target, RigidTransform.identity(), FLAT, "auto", rng)
+    found = pose_beside(base, target, ordinary)
     (block,), scores = found.pose.blocks, found.pose.blocks[0].scores[:, :6]
     # That the same data chose the charges counts sixteenfold.
     information = 16 * block.information[:6, :6]
@@ -235,9 +229,9 @@ def test_nothing_is_looked_for_where_residuals_are_explained(make_exact_pair):
     base, target = (prepare(m, 4, rng) for m in make_exact_pair(5, T_base_target))
     T_model = base.T_map_model.inv() * T_base_target * target.T_map_model
     nulls = null_models_of(base, target)
-    pose = refine(base, target, T_model, FLAT, REFINEMENT, rng)
+    pose = refine(base, target, T_model, FLAT, "auto", rng)
     best = weigh_pose(base, target, pose, nulls, FLAT)
-    assert ChangeSearch(base, target, nulls, FLAT, CONFIG, 0).poses([T_model], best, pose) == []
+    assert ChangeSearch(base, target, nulls, FLAT, 0).poses([T_model], best, pose) == []
 
 
 def test_too_few_samples_that_agree_give_no_pose(moved, ordinary):

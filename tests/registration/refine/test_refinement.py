@@ -11,9 +11,9 @@ from hand_made import Polynomial, box, prepared_map, some_field, turn_about
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.geometry import rotation_matrix, transform_error
 from magmatch.registration.prepared.drift import Drift
+from magmatch.registration.refine import refinement
 from magmatch.registration.refine.refinement import (
     RefinedPose,
-    RefinementConfig,
     ResidualBlock,
     compare,
     look_up,
@@ -23,12 +23,10 @@ from magmatch.registration.refine.refinement import (
     residual_weights,
     step_between,
 )
-from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
+from magmatch.registration.refine.sensors import identical_sensors
 from magmatch.registration.weigh.cells import null_models_of
 from magmatch.registration.weigh.evidence import weigh_pose
 
-SAME = SensorConfig(mode="none")
-CONFIG = RefinementConfig(sensor=SAME)
 FLAT = PosePrior(10.0)
 FIELD = some_field(3, slope=10e-6, bend=6e-6)
 # Of the log-likelihood ``-(nu + 3) / 2 ln(1 + r^2 / nu V)``.
@@ -45,13 +43,15 @@ def pair_of(seed=0, n=150, drifts=(0.0, 0.0)):
     return maps
 
 
-def refined(base, target, start, prior=FLAT, config=CONFIG, level=-1):
-    return refine(base, target, start, prior, config, np.random.default_rng(0), level)
+def refined(base, target, start, prior=FLAT, sensors="none", level=-1):
+    return refine(base, target, start, prior, sensors, np.random.default_rng(0), level)
 
 
 def both(base, target, T, noise=None):
     rows = np.arange(len(target.samples)), np.arange(len(base.samples))
-    pose = RefinedPose(T, target.samples.mean(axis=0), identical_sensors(SAME, -1), np.ones(3), np.zeros((6, 6)), ())
+    pose = RefinedPose(
+        T, target.samples.mean(axis=0), identical_sensors("none", -1), np.ones(3), np.zeros((6, 6)), ()
+    )
     return look_up(base, target, pose, rows), compare(base, target, pose, rows), pose
 
 
@@ -156,11 +156,11 @@ def test_refinement_goes_home_from_nearby_and_stays_where_maps_do_not_overlap():
     np.testing.assert_array_equal(nowhere.T_base_target.as_matrix(), away.as_matrix())
 
 
-def test_no_step_is_longer_than_allowed():
+def test_no_step_is_longer_than_allowed(monkeypatch):
+    monkeypatch.setattr(refinement, "MOST_STEPS", 1)
     base, target = pair_of(4)
-    once = RefinementConfig(sensor=SAME, n_steps=1)
     start = turn_about(np.zeros(3), np.array([0.0, 0.0, 0.4, 0.0, 0.0, 0.0]))
-    found = refined(base, target, start, config=once)
+    found = refined(base, target, start)
     step = step_between(replace(found, T_base_target=start), found)
     assert max(np.abs(step[:3]).max() / 0.1, np.abs(step[3:]).max() / (0.3 * 0.6)) == pytest.approx(1.0)
 
@@ -184,7 +184,7 @@ def test_sums_over_cells_scatter_as_samples_do_where_those_are_independent_and_m
 
 def test_the_jacobian_is_the_derivative_of_the_residual():
     base, target = pair_of(n=60)
-    sensor, T = identical_sensors(SensorConfig(mode="scale"), 1), turn_about(np.zeros(3), np.full(6, 0.05))
+    sensor, T = identical_sensors("scale", 1), turn_about(np.zeros(3), np.full(6, 0.05))
     pose = RefinedPose(T, target.samples.mean(axis=0), sensor, np.ones(4), np.zeros((6, 6)), ())
     rows = np.arange(60), np.arange(60)
 
@@ -211,7 +211,7 @@ def read_by_another_sensor(gain, bias):
 
 def at_level(base, target, level):
     """The pose with sensors that differ so freely, and its evidence."""
-    pose = refined(base, target, RigidTransform.identity(), config=RefinementConfig(), level=level)
+    pose = refined(base, target, RigidTransform.identity(), sensors="auto", level=level)
     return pose, weigh_pose(base, target, pose, null_models_of(base, target), FLAT).log_evidence
 
 

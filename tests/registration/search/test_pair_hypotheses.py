@@ -14,7 +14,6 @@ from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform, rotation_matrix
 from magmatch.registration.search.pair_search import (
-    PairSearchConfig,
     choose_pairs,
     invariants_of,
     pair_poses,
@@ -25,7 +24,6 @@ from magmatch.registration.search.pair_search import (
 from magmatch.registration.search.scoring import score_poses
 
 LENGTH = 0.5
-CONFIG = PairSearchConfig()
 T_TRUE = random_transform(np.random.default_rng(1))
 
 
@@ -36,7 +34,7 @@ def base():
 
 @pytest.fixture(scope="module")
 def table(base):
-    return tabulate_pairs(base, LENGTH, 0.3e-6, CONFIG)
+    return tabulate_pairs(base, LENGTH, 0.3e-6)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +66,7 @@ def test_a_point_is_as_uncertain_as_another_walk_passes_it(base, table):
 
 
 def test_long_pairs_whose_fields_differ_are_drawn_more_often_and_each_once(walk, table):
-    drawn = [choose_pairs(walk, table, CONFIG, np.random.default_rng(k)) for k in range(10)]
+    drawn = [choose_pairs(walk, table, 60, np.random.default_rng(k)) for k in range(10)]
     for i, j in drawn:
         assert len({*zip(i.tolist(), j.tolist(), strict=True)}) == len(i) == 60
         d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
@@ -83,11 +81,11 @@ def test_long_pairs_whose_fields_differ_are_drawn_more_often_and_each_once(walk,
 
     assert share(i, j) > 1.1 * share(*every)
     near = Walk(walk.T_survey_walk, 0.1 * walk.positions, walk.field)
-    assert len(choose_pairs(near, table, CONFIG, np.random.default_rng(0))[0]) == 0
+    assert len(choose_pairs(near, table, 60, np.random.default_rng(0))[0]) == 0
 
 
 def test_a_pair_seen_from_elsewhere_is_most_like_itself_and_gives_the_pose_between(walk, table):
-    i, j = choose_pairs(walk, table, CONFIG, np.random.default_rng(0))
+    i, j = choose_pairs(walk, table, 60, np.random.default_rng(0))
     similar, distance2 = table.nearest(invariants_of(walk, i, j), 3)
     assert (np.diff(distance2, axis=1) >= 0).all()
     is_there = distance2[:, 0] < 1e-6
@@ -113,7 +111,7 @@ def test_a_walk_that_is_explained_exactly_says_more_the_less_noise_the_base_has(
 
 
 def test_the_search_finds_the_pose_between_and_keeps_distinct_poses_best_first(base, walk, table):
-    found = pair_search(base, table, walk, PosePrior(10.0), CONFIG, np.random.default_rng(0))
+    found = pair_search(base, table, walk, PosePrior(10.0), np.random.default_rng(0))
     np.testing.assert_allclose(found.poses[0].as_matrix(), T_TRUE.as_matrix(), atol=0.03)
     assert len(found.poses) <= N_CANDIDATES
     assert found.n_keypoints == len(table.positions) + len(walk)

@@ -12,7 +12,7 @@ from magmatch.estimation.pose_prior import PosePrior, PosePriorConfig
 from magmatch.estimation.walk import walk_of
 from magmatch.geometry import perturbation, random_transform, transform_error
 from magmatch.registration.clock import Clock
-from magmatch.registration.config import RegistrationConfig, WalkConfig
+from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.index.map_index import MapIndex, index_walks
 from magmatch.registration.prepared.prepared_map import prepare
 from magmatch.registration.result import Status
@@ -44,7 +44,7 @@ def rooms(make_exact_pair):
 @pytest.fixture(scope="module")
 def index(rooms):
     rng = np.random.default_rng(0)
-    return index_walks(prepare(rooms[0], 8, rng), WalkConfig().search, rng)
+    return index_walks(prepare(rooms[0], 8, rng), rng)
 
 
 def register_walk(index, target, seed=0, prior=None):
@@ -140,7 +140,7 @@ def test_the_stated_covariance_matches_the_errors(rooms, index):
     nees = []
     for _ in range(40):
         walk = replace(clean, field=values.field + (L @ rng.standard_normal(len(C))).reshape(-1, 3))
-        best = weigh_walk(index.base, walk, [truth], noise, index.length, PosePrior(1.0), WalkConfig().evidence)[0]
+        best = weigh_walk(index.base, walk, [truth], noise, index.length, PosePrior(1.0))[0]
         # Perturbation about the centre: turn, then shift of the centre.
         difference = best.T_base_target.inv() * truth
         shift = difference.apply(best.center) - best.center

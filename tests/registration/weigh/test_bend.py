@@ -16,10 +16,8 @@ from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.walk import Walk
 from magmatch.geometry import perturbation, random_transform
 from magmatch.registration.prepared.drift import Drift
-from magmatch.registration.refine.refinement import RefinementConfig, refine
-from magmatch.registration.refine.sensors import SensorConfig
+from magmatch.registration.refine.refinement import refine
 from magmatch.registration.weigh.bend import Bend, bend_of_map, bend_of_walk
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig
 
 NOISE = PathNoise(0.2e-6, 0.8, 0.1e-6, 0.1e-6, 1.0, 0.8, 0.005, 0.005, 3.0, spread=0.4, n_stretches=9)
 # Turns and comes back, so that each half fixes its pose.
@@ -46,7 +44,7 @@ def bent(walk, xi, center):
 
 
 def found(base, walk, T):
-    return bend_of_walk(base, walk, T, NOISE, 0.8, PosePrior(100.0), LineConfig())
+    return bend_of_walk(base, walk, T, NOISE, 0.8, PosePrior(100.0))
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +107,9 @@ def a_base(error=1e-8):
 
 
 def bend_as_map(base, target):
-    prior, config = PosePrior(100.0), RefinementConfig(sensor=SensorConfig(mode="none"))
-    pose = refine(base, target, T_THERE, prior, config, np.random.default_rng(0), -1)
-    return bend_of_map(base, target, pose, prior, config, 0)
+    prior = PosePrior(100.0)
+    pose = refine(base, target, T_THERE, prior, "none", np.random.default_rng(0), -1)
+    return bend_of_map(base, target, pose, prior, "none", 0)
 
 
 def walk_that_bends(base, xi):

@@ -11,11 +11,10 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import Drawn, Polynomial, box, prepared_map, some_field
 from magmatch.estimation.pose_prior import PosePrior
-from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, ResidualBlock, refine, step_between
-from magmatch.registration.refine.sensors import TIED_SD, SensorConfig, identical_sensors
+from magmatch.registration.refine.refinement import RefinedPose, ResidualBlock, refine, step_between
+from magmatch.registration.refine.sensors import TIED_SD, identical_sensors
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance, map_covariance
 
-NO_SENSOR = SensorConfig(mode="none")
 SCALE = np.array([1e-3, 2e-3, 1e-3, 0.01, 0.03, 0.02])
 
 
@@ -47,7 +46,7 @@ def test_a_direction_that_is_known_exactly_is_kept():
 def pose_with(blocks, prior=None, center=(0.0, 0.0, 0.0)):
     """A pose whose sensor is known."""
     known = np.zeros((6, 6)) if prior is None else prior
-    sensor = identical_sensors(NO_SENSOR, -1)
+    sensor = identical_sensors("none", -1)
     return RefinedPose(RigidTransform.identity(), np.array(center), sensor, np.full(3, 1.0), known, tuple(blocks))
 
 
@@ -143,7 +142,7 @@ def test_a_pose_follows_drift_whether_or_not_its_sensor_is_known_beforehand():
 @pytest.mark.parametrize("sizes", [(2e-8, 0.0), (1e-8, 2e-8)])
 def test_poses_in_drawn_maps_scatter_as_the_covariance_says(sizes):
     """Draws so small that one linear step is all; the tail bends less than it weighs by a tenth."""
-    rng, field, config = np.random.default_rng(1), some_field(3, slope=10e-6), RefinementConfig(sensor=NO_SENSOR)
+    rng, field = np.random.default_rng(1), some_field(3, slope=10e-6)
     maps, errors = [], []
     for size in sizes:
         drawn = [
@@ -157,7 +156,7 @@ def test_poses_in_drawn_maps_scatter_as_the_covariance_says(sizes):
 
     def refined(base, target):
         start = RigidTransform.identity()
-        return refine(base, target, start, PosePrior(10.0), config, np.random.default_rng(0), -1)
+        return refine(base, target, start, PosePrior(10.0), "none", np.random.default_rng(0), -1)
 
     best = refined(base, target)
     in_drawn = [refined(replace(base, posterior=field.plus(error)), target) for error in errors[0]]
@@ -165,5 +164,5 @@ def test_poses_in_drawn_maps_scatter_as_the_covariance_says(sizes):
     steps = np.array([step_between(best, pose) for pose in in_drawn])
     expected = steps.T @ steps / 6
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    stated = map_covariance(base, target, best, config, seed=0)
+    stated = map_covariance(base, target, best, seed=0)
     np.testing.assert_allclose(stated / scale, expected / scale, atol=0.1)

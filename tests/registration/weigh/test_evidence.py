@@ -10,8 +10,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from hand_made import box, prepared_map, seen_from, some_field, turn_about
 from magmatch.estimation.pose_prior import PosePrior
-from magmatch.registration.refine.refinement import RefinementConfig, refine
-from magmatch.registration.refine.sensors import SensorConfig, identical_sensors
+from magmatch.registration.refine.refinement import _at, compare
 from magmatch.registration.weigh.cells import CellComparison, agreeing_cells, compare_cells, null_models_of
 from magmatch.registration.weigh.covariance import joint_covariance
 from magmatch.registration.weigh.evidence import weigh_pose
@@ -30,9 +29,9 @@ def pair():
 
 
 def pose_at(base, target, T=HERE, mode="none"):
-    config = RefinementConfig(sensor=SensorConfig(mode=mode), n_steps=1)
-    found = refine(base, target, T, PRIOR, config, np.random.default_rng(0), -1 if mode == "none" else 1)
-    return replace(found, T_base_target=T, sensor=identical_sensors(config.sensor, -1 if mode == "none" else 1))
+    pose = _at(T, target.samples.mean(axis=0), mode, -1 if mode == "none" else 1)
+    rows = np.arange(len(target.samples)), np.arange(len(base.samples))
+    return replace(pose, blocks=compare(base, target, pose, rows))
 
 
 def weighed(base, target, T=HERE):

@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from hand_made import prepared_map, seen_from, some_field, turn_about
+from magmatch.estimation import model_prior
 from magmatch.estimation.model_prior import TURNS
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
@@ -20,14 +21,13 @@ from magmatch.estimation.walk_null_model import LENGTHSCALES, STRENGTHS, Unrelat
 from magmatch.geometry import random_transform
 from magmatch.registration.weigh import refine_and_weigh_walk
 from magmatch.registration.weigh.bending import bending_of
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 
 LENGTH, SD = 0.8, 0.1e-6
 FIELD = some_field(3, slope=10e-6, bend=6e-6)
 NOISE = PathNoise(0.4e-6, 0.8, 0.2e-6, 0.2e-6, 1.0, 0.8, 0.005, 0.01, 3.0, spread=0.4, n_stretches=9)
 PRIOR = PosePrior(20.0)
 HERE = RigidTransform.identity()
-CONFIG = LineConfig()
 
 
 def some_path(n=24):
@@ -51,8 +51,16 @@ def walk():
     return Walk(HERE, x, values.field + error.reshape(-1, 3))
 
 
-def weighed(base, walk, T=HERE, noise=NOISE, prior=PRIOR, config=CONFIG):
-    return weigh_walk(base, walk, [T], noise, LENGTH, prior, config)[0]
+def weighed(base, walk, T=HERE, noise=NOISE, prior=PRIOR):
+    return weigh_walk(base, walk, [T], noise, LENGTH, prior)[0]
+
+
+def weighed_free(base, walk):
+    """What is weighed if path that is left unexplained costs nothing."""
+    with pytest.MonkeyPatch.context() as nothing_is_paid:
+        nothing_is_paid.setattr(model_prior, "UNEXPLAINED", 0.0)
+        nothing_is_paid.setattr(refine_and_weigh_walk, "UNEXPLAINED", 0.0)
+        return weighed(base, walk)
 
 
 def outside(walk, n):
@@ -109,7 +117,7 @@ def test_the_estimate_is_that_of_generalised_least_squares_and_its_covariance_to
 
 def test_path_outside_the_map_costs_its_length_and_nothing_else_is_known_of_it(base, walk):
     n, walk = 6, outside(walk, 6)
-    free, priced = (weighed(base, walk, config=LineConfig(price=p)) for p in (0.0, 3.0))
+    free, priced = weighed_free(base, walk), weighed(base, walk)
     assert free.is_covered.sum() == len(walk) - n
     assert free.overlap == pytest.approx(1 - n / len(walk))
     assert free.log_evidence - priced.log_evidence == pytest.approx(3.0 * n * walk.bin_length / LENGTH, rel=1e-9)
@@ -166,7 +174,7 @@ def test_evidence_is_averaged_over_the_covariances_factor(base, walk, size):
     walk, nothing = replace(walk, field=field + size * (walk.field - field)), Mock(log_likelihood=lambda _: 0.0)
 
     def evidence(noise):
-        return weigh_walk(base, walk, [HERE], noise, LENGTH, PRIOR, CONFIG, null=nothing)[0].log_evidence
+        return weigh_walk(base, walk, [HERE], noise, LENGTH, PRIOR, null=nothing)[0].log_evidence
 
     log_factors, log_weights = (x[::5] for x in NOISE.log_factors())
     at_each = [evidence(noise_times(NOISE, np.exp(one))) for one in log_factors]
@@ -214,7 +222,7 @@ def test_a_piece_that_something_disturbed_is_weighed_down_at_a_price(base, walk,
         kept, plain = weighed(base, disturbed), weighed(base, walk)
     assert strained.log_evidence > kept.log_evidence + 10
     assert strained.misfit < 0.7 * kept.misfit
-    free = weighed(base, disturbed, config=LineConfig(price=0.0))
+    free = weighed_free(base, disturbed)
     n_strained = (free.log_evidence - strained.log_evidence) / (3.0 * disturbed.bin_length / LENGTH)
     assert n_strained == pytest.approx(round(n_strained), abs=1e-6)
     assert 3 <= round(n_strained) <= 0.3 * len(walk) + 0.5

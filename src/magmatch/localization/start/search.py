@@ -18,7 +18,7 @@ from magmatch.localization.start.grid_score import UNKNOWN, score_all
 from magmatch.localization.start.least_squares import STRETCH, Priors, refine_all
 from magmatch.localization.state import BIAS, Model, hypotheses, start_covariance
 from magmatch.preparation.odometry.drift import LEVEL_SD
-from magmatch.registration.search.pair_search import PairSearchConfig, pair_search
+from magmatch.registration.search.pair_search import pair_search
 from magmatch.typing import Points, Scalars, Vector3
 
 # Headings tried, and how many bins of path make one that is scored.
@@ -53,7 +53,7 @@ def _by_pairs(known: KnownMap, steps: np.ndarray) -> tuple[np.ndarray, Points, S
     walk = walk_of(path, known.length)
     base, table = known.index.base, known.index.walks.table
     prior = pose_prior(PosePriorConfig(), base.T_map_model, walk.T_survey_walk, known.volume)
-    found = pair_search(base, table, walk, prior, PairSearchConfig(), np.random.default_rng(0))
+    found = pair_search(base, table, walk, prior, np.random.default_rng(0))
     poses = [T * walk.T_survey_walk.inv() for T in found.poses]
     turns = np.array([rotation_matrix(T) for T in poses]).reshape(-1, 3, 3)
     return turns, np.array([T.apply(steps["p"][-1]) for T in poses]).reshape(-1, 3), np.zeros(len(poses))

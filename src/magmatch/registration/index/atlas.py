@@ -51,7 +51,7 @@ class Atlas:
     entries : tuple of AtlasEntry
         In the order of their names.
     config : RegistrationConfig
-        What the indexes were made with.
+        What registrations in it are asked.
     """
 
     folder: Path
@@ -82,7 +82,7 @@ class Atlas:
     def likely_for_walk(self, target: Survey, seed: int) -> list[AtlasEntry]:
         """Maps in which most of a walk's pairs of points agree on one pose."""
         tell(f"asking {len(self.entries)} maps")
-        votes = count_votes([entry.table for entry in self.entries], target, self.config.walks.search, seed)
+        votes = count_votes([entry.table for entry in self.entries], target, seed)
         return [self.entries[k] for k in shortlist(votes)]
 
     def likely_for_map(self, target: PreparedMap, seed: int) -> list[AtlasEntry]:
@@ -102,13 +102,13 @@ class Atlas:
         index = self._loaded.pop(entry.path, None)
         if index is None:
             field_map = FieldMap.load(entry.path)
-            if field_map.file is None or index_key(field_map.file, self.config) != entry.index.key:
+            if field_map.file is None or index_key(field_map.file) != entry.index.key:
                 raise DataFormatError(entry.path, "was replaced after its folder was opened; open the folder again")
             try:
                 index = entry.index.load(field_map)
             except DataFormatError as error:
                 log.info("%s; indexing it again", error)
-                index = prepare_index(field_map, self.config)
+                index = prepare_index(field_map)
         self._loaded[entry.path] = index
         while len(self._loaded) > MAX_LOADED:
             self._loaded.pop(next(iter(self._loaded)))
@@ -193,12 +193,12 @@ def open_atlas(
     if not paths:
         message = "holds no saved maps; make some with 'magmatch map SURVEY --out FOLDER/NAME.map'"
         raise DataFormatError(folder, message)
-    opened = {path: open_index(MapFile.of(path), config) for path in paths}
+    opened = {path: open_index(MapFile.of(path)) for path in paths}
     stale = [path for path, index in opened.items() if index is None or not index.is_whole]
     with followed(progress):
         for number, path in enumerate(stale):
             tell(f"indexing {path.name} ({number + 1} of {len(stale)})", number / len(stale))
-            opened[path] = _prepared(path, config)
+            opened[path] = _prepared(path)
     entries = [AtlasEntry(path, index, index.table) for path, index in opened.items() if index is not None]
     return Atlas(folder, tuple(entries), config)
 
@@ -227,10 +227,10 @@ def maps_in(folder: Path, names: Collection[str] | None = None) -> Iterator[Path
             yield path
 
 
-def _prepared(path: Path, config: RegistrationConfig) -> IndexFile:
+def _prepared(path: Path) -> IndexFile:
     """Prepare a map, and open what was kept of that; where nothing can be kept, it stays in memory."""
-    index = prepare_index(FieldMap.load(path), config)
+    index = prepare_index(FieldMap.load(path))
     tell("listing pairs of points for walks")
     index.walks  # noqa: B018  # asked for, it is prepared
-    kept = open_index(MapFile.of(path), config)
-    return kept if kept is not None and kept.is_whole else IndexFile(index.content(), config)
+    kept = open_index(MapFile.of(path))
+    return kept if kept is not None and kept.is_whole else IndexFile(index.content())

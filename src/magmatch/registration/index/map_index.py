@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Registration and localisation need an index of a base map, made when first needed and kept beside the map.
 
-What is kept is a cache: it is used only for the content of the map, the settings and the program that it was made
-by. Nothing is lost by deleting it, and where it cannot be written it is made each time.
+What is kept is a cache: it is used only for the content of the map and the program that it was made by. Nothing is
+lost by deleting it, and where it cannot be written it is made each time.
 """
 
 import hashlib
@@ -18,15 +18,15 @@ import numpy as np
 
 from magmatch.brief import brief
 from magmatch.errors import DataFormatError
+from magmatch.estimation.limits import N_DRAWS
 from magmatch.estimation.path_noise import PathNoise, learn_path_noise
 from magmatch.field.map import FieldMap
 from magmatch.field.saved_map import MapFile
-from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import PreparedMap, known_samples, prepare
 from magmatch.registration.prepared.raster import Raster, rasterize
 from magmatch.registration.search.kdtree import NeighbourTree
-from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
+from magmatch.registration.search.pair_search import PairTable, tabulate_pairs
 from magmatch.runner import program
 from magmatch.store import Stored, naming, open_stored, save
 from magmatch.threads import one_blas_thread
@@ -147,12 +147,11 @@ class IndexFile:
     """An index in its file, opened but hardly read."""
 
     content: dict[str, Any]  # of `MapIndex.content`
-    config: RegistrationConfig
     stored: Stored | None = None  # where it comes from; None if it could not be kept
 
     @property
     def key(self) -> str:
-        """The key of the map, settings and program it was made from."""
+        """The key of the map and the program it was made from."""
         return str(self.content["key"])
 
     @property
@@ -193,7 +192,7 @@ class IndexFile:
             draws=cache(partial(_draws, parts["draws"], field_map, parts["n_draws"])),
             **{name: np.array(parts["prepared"][name]) for name in PREPARED},
         )
-        index = _index_over(base, self.config, self.key)
+        index = _index_over(base, self.key)
         walks = parts.pop("walks")
         if walks is not None:
             index._walks.append(WalkIndex(base, self.table.length, walks["noise"], walks["live_noise"], self.table))
@@ -202,14 +201,14 @@ class IndexFile:
         return index
 
 
-def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapIndex:
+def prepare_index(base: FieldMap | MapIndex) -> MapIndex:
     """Give the index of a base map, as it was kept, or made now.
 
     It is independent of the seed, so that what was kept gives the same answer.
     """
     if isinstance(base, MapIndex):
         return base
-    kept = open_index(base.file, config) if base.file else None
+    kept = open_index(base.file) if base.file else None
     if kept is not None:
         try:
             return kept.load(base)
@@ -217,21 +216,21 @@ def prepare_index(base: FieldMap | MapIndex, config: RegistrationConfig) -> MapI
             log.debug("%s", error)
     # With more threads the order of sums changes, and what was kept would give other bits than the map itself.
     with one_blas_thread():
-        prepared = prepare(base, config.invariants.n_draws, _base_rng())
-    index = _index_over(prepared, config, index_key(base.file, config) if base.file else "")
+        prepared = prepare(base, N_DRAWS, _base_rng())
+    index = _index_over(prepared, index_key(base.file) if base.file else "")
     index.keep()
     return index
 
 
-def index_walks(base: PreparedMap, config: PairSearchConfig, rng: np.random.Generator) -> WalkIndex:
+def index_walks(base: PreparedMap, rng: np.random.Generator) -> WalkIndex:
     """Learn the residuals' covariance and list the base's pairs of points, once for all walks."""
     length = base.correlation_length
     noise, live_noise = learn_path_noise(base.field_map, length, rng)
-    return WalkIndex(base, length, noise, live_noise, tabulate_pairs(base, length, noise.total_sd, config))
+    return WalkIndex(base, length, noise, live_noise, tabulate_pairs(base, length, noise.total_sd))
 
 
-def _index_over(base: PreparedMap, config: RegistrationConfig, key: str) -> MapIndex:
-    return MapIndex(base, lambda: index_walks(base, config.walks.search, _base_rng()), base.field_map.file, key)
+def _index_over(base: PreparedMap, key: str) -> MapIndex:
+    return MapIndex(base, lambda: index_walks(base, _base_rng()), base.field_map.file, key)
 
 
 def _base_rng() -> np.random.Generator:
@@ -258,26 +257,20 @@ def index_path(map_path: str | Path) -> Path:
     return path.with_name(path.name + SUFFIX)
 
 
-def index_key(file: MapFile, config: RegistrationConfig) -> str:
-    """Give the key of a valid index: SHA-256 of the map's content, the settings and the program."""
-    made_with = {
-        "map": file.sha256,
-        "n_draws": config.invariants.n_draws,
-        "pairs": config.walks.search.model_dump(mode="json"),
-        "program": program(),
-    }
-    return hashlib.sha256(json.dumps(made_with, sort_keys=True).encode()).hexdigest()
+def index_key(file: MapFile) -> str:
+    """Give the key of a valid index: SHA-256 of the map's content and the program."""
+    return hashlib.sha256(json.dumps([file.sha256, program()]).encode()).hexdigest()
 
 
-def open_index(file: MapFile, config: RegistrationConfig) -> IndexFile | None:
+def open_index(file: MapFile) -> IndexFile | None:
     """Open what was prepared of a saved map.
 
-    None if there is none, or it was made from other content, with other settings or by another version.
+    None if there is none, or it was made from other content or by another version.
     """
     try:
         stored = open_stored(index_path(file.path), SCHEMA)
-        index = IndexFile(stored.content(KINDS), config, stored)
+        index = IndexFile(stored.content(KINDS), stored)
     except DataFormatError as error:
         log.debug("nothing is kept: %s", error)
         return None
-    return index if index.key == index_key(file, config) else None
+    return index if index.key == index_key(file) else None

@@ -9,14 +9,13 @@ maximum-likelihood prior variance, which is nearly zero for most (sparse Bayesia
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import Field
 from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.checks import MIN_SAMPLES
 from magmatch.estimation.candidate_poses import pose_inaccuracy
 from magmatch.estimation.gauss_newton import is_close, shortened
-from magmatch.estimation.limits import CHANGE_SAMPLES, MOST_STEPS, N_CHANGED, N_CHARGES, N_STRENGTHS
+from magmatch.estimation.limits import CHANGE_SAMPLES, MOST_STEPS, N_CHARGES, N_STRENGTHS
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.field.equivalent_sources.shell import SourceShell, lay_shell
 from magmatch.field.spline.spline_prior import CONSTANT_SD
@@ -25,7 +24,6 @@ from magmatch.geometry import transform_points
 from magmatch.registration.prepared.drift import Drift
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.refinement import Lookup, RefinedPose, ResidualBlock, residual_jacobian
-from magmatch.settings import Settings
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 # Distance of the charges from the samples, in correlation lengths.
@@ -34,19 +32,9 @@ DISTANCE = 0.6
 FADED = 1e-5
 # Factor on the pose's covariance because the same data selected the remaining charges (measured).
 SELECTION_INFLATION = 16.0
+# Misfit of the best pose's cells above which something may have moved: right poses without changes stay below it.
+MAX_MISFIT = 2.0
 EPS = float(np.finfo(float).eps)
-
-
-class ChangeConfig(Settings):
-    """When and how a pose is estimated together with moved sources."""
-
-    is_enabled: bool = True
-    # Misfit of the best pose's cells above which something may have moved: right poses without changes stay below it.
-    max_misfit: float = Field(default=2.0, ge=0)
-    # Poses that are tried; samples compared, and most charges for the change.
-    n_candidates: int = Field(default=N_CHANGED, ge=1)
-    n_samples: int = Field(default=CHANGE_SAMPLES, ge=MIN_SAMPLES)
-    n_charges: int = Field(default=N_CHARGES, ge=100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,33 +82,27 @@ def refine_beside_changes(
     pose: RefinedPose,
     agrees: Mask,
     prior: PosePrior,
-    config: ChangeConfig,
     rng: np.random.Generator,
 ) -> ChangedPose | None:
     """Refine a pose together with a sparse field of moved sources, by Gauss-Newton; None where nothing tells it."""
-    samples = _choose_samples(base, target, pose.T_base_target, agrees, config, rng)
+    samples = _choose_samples(base, target, pose.T_base_target, agrees, rng)
     if samples is None:
         return None
     try:
-        return _refine(base, target, pose, samples, prior, config)
+        return _refine(base, target, pose, samples, prior)
     except np.linalg.LinAlgError:  # steps led to where nothing tells of the pose, as out of the base
         return None
 
 
 def _refine(
-    base: PreparedMap,
-    target: PreparedMap,
-    pose: RefinedPose,
-    samples: _Samples,
-    prior: PosePrior,
-    config: ChangeConfig,
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, samples: _Samples, prior: PosePrior
 ) -> ChangedPose:
     longest = np.repeat(pose_inaccuracy(common_length(base, target)), 3)
     gram = samples.charges.T @ (samples.weight[:, None] * samples.charges)
     pose = replace(pose, sensor=pose.sensor.stepped(-pose.sensor.parameters))
     k = 6 + len(pose.sensor_sd)
     lookup = _look_up(base, samples, pose)
-    estimate = _solve(lookup, samples, gram, pose, prior, config.max_misfit**2)
+    estimate = _solve(lookup, samples, gram, pose, prior, MAX_MISFIT**2)
     for _ in range(MOST_STEPS):
         xi = shortened(estimate.values[:k], longest)
         pose, is_last = pose.stepped(xi), is_close(xi, np.linalg.inv(estimate.covariance[:k, :k]))
@@ -133,7 +115,7 @@ def _refine(
     refined = replace(pose, prior_information=known, blocks=(block,))
     weights = np.zeros(len(gram))
     weights[estimate.charges] = estimate.values[k:]
-    log_ratio = _log_ratio(lookup, samples, gram, estimate, config.max_misfit**2)
+    log_ratio = _log_ratio(lookup, samples, gram, estimate)
     return ChangedPose(refined, log_ratio, estimate.noise, samples.shell, weights)
 
 
@@ -142,17 +124,16 @@ def _choose_samples(
     target: PreparedMap,
     T_base_target: RigidTransform,
     agrees: Mask,
-    config: ChangeConfig,
     rng: np.random.Generator,
 ) -> _Samples | None:
     _, map_sd, _, is_known = base.raster.lookup(transform_points(target.samples, T_base_target))
-    rows = np.sort(rng.permutation(np.flatnonzero(agrees & is_known))[: config.n_samples])
+    rows = np.sort(rng.permutation(np.flatnonzero(agrees & is_known))[:CHANGE_SAMPLES])
     if len(rows) < MIN_SAMPLES:
         return None
     y, map_sd = target.samples[rows], map_sd[rows]
     weight = np.repeat(1 / (target.noise_sd**2 + map_sd**2), 3)
     distance = DISTANCE * common_length(base, target)
-    shell = lay_shell(y, distance, distance / 2, config.n_charges)
+    shell = lay_shell(y, distance, distance / 2, N_CHARGES)
     # From component-major rows to a row per sample and component.
     charges = np.moveaxis(shell.design(y).reshape(3, len(y), -1), 0, 1).reshape(3 * len(y), -1)
     return _Samples(rows, y, target.sample_field[rows], map_sd, shell, np.ascontiguousarray(charges), weight)
@@ -229,7 +210,7 @@ def _log_likelihood(
     return -0.5 * float(power / noise - fit + n_rows * np.log(noise) + log_det)
 
 
-def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate, noise: float) -> float:
+def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estimate) -> float:
     """Log of 'the base and a sparse change explain the samples' over 'a sparse field of their own does'."""
     left, r = estimate.charges, lookup.residual.ravel()
     Wr = samples.weight * r
@@ -244,7 +225,7 @@ def _log_ratio(lookup: Lookup, samples: _Samples, gram: Matrix, estimate: _Estim
     A = np.block([[Wc.T @ constant, cross], [cross.T, gram]])
     v = np.concatenate([constant.T @ Wb, samples.charges.T @ Wb])
     before, power = np.eye(3) / CONSTANT_SD**2, float(b @ Wb)
-    strengths = np.full(len(gram), float(samples.field.var(axis=0).mean()))
+    strengths, noise = np.full(len(gram), float(samples.field.var(axis=0).mean())), MAX_MISFIT**2
     for _ in range(MOST_STEPS * N_STRENGTHS):
         lasting = np.concatenate([[True] * 3, strengths > FADED * strengths.max()])
         A, v, strengths = A[np.ix_(lasting, lasting)], v[lasting], strengths[lasting[3:]]

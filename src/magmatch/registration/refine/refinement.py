@@ -20,14 +20,21 @@ from magmatch.data.checks import MIN_SAMPLES
 from magmatch.estimation.candidate_poses import pose_inaccuracy
 from magmatch.estimation.cubes import sum_by_cube
 from magmatch.estimation.gauss_newton import STUDENT_DOF, is_close, shortened, student_weights
-from magmatch.estimation.limits import CLEAR, MOST_POINTS, MOST_STEPS, N_REFINED, RANKING_POINTS
+from magmatch.estimation.limits import MOST_POINTS, MOST_STEPS
 from magmatch.estimation.model_prior import SENSORS_DIFFER
 from magmatch.estimation.pose_prior import FAR2, PosePrior
 from magmatch.field.values import gradient_of
 from magmatch.geometry import perturbation, perturbation_between, rotate_vectors, skew, transform_points
 from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
-from magmatch.registration.refine.sensors import SensorConfig, SensorModel, identical_sensors, levels_to_try, prior_sd
+from magmatch.registration.refine.sensors import (
+    SensorConfig,
+    SensorMode,
+    SensorModel,
+    identical_sensors,
+    levels_to_try,
+    prior_sd,
+)
 from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, Vectors
 
@@ -35,20 +42,8 @@ from magmatch.typing import Indices, Matrix, Points, Scalars, Tensors, Vector3, 
 class RefinementConfig(Settings):
     """Settings of the dense refinement."""
 
-    # Samples per survey. All 3,000 of a room help: with 1,200 errors grow by a fifth, at 15 % overlap by half.
-    n_samples: int = Field(default=MOST_POINTS, ge=MIN_SAMPLES)
-    # Samples while candidates are only ranked.
-    n_ranking_samples: int = Field(default=RANKING_POINTS, ge=MIN_SAMPLES)
-    n_steps: int = Field(default=MOST_STEPS, ge=1)
-    # Best candidates to refine and compare; the others too if none of these has this much evidence, nats.
-    n_candidates: int = Field(default=N_REFINED, ge=1)
-    clear_log_evidence: float = CLEAR
     # What may differ between the two magnetometers.
     sensor: SensorConfig = Field(default_factory=SensorConfig)
-
-    def for_ranking(self) -> "RefinementConfig":
-        """These settings while candidates are only ranked."""
-        return self.model_copy(update={"n_samples": min(self.n_samples, self.n_ranking_samples)})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -100,22 +95,21 @@ def refine(
     target: PreparedMap,
     start: "RigidTransform | RefinedPose",
     prior: PosePrior,
-    config: RefinementConfig,
+    sensors: SensorMode,
     rng: np.random.Generator,
     level: int = 0,
+    n_samples: int = MOST_POINTS,
 ) -> RefinedPose:
     """Minimise the field residuals of both directions, with Student-t likelihood, by Newton's steps.
 
     A start that was refined keeps its own sensor model and level; ``level`` says how far the two magnetometers may
-    differ, see `prior_sd`; ``rng`` picks the samples if there are more than needed.
+    differ, see `prior_sd`; ``rng`` picks the samples if a survey has more than ``n_samples``.
     """
-    rows = some_rows(base, target, config, rng)
+    rows = some_rows(base, target, n_samples, rng)
     lengthscale, center = common_length(base, target), target.samples.mean(axis=0)
-    pose = (
-        replace(start, center=center) if isinstance(start, RefinedPose) else _at(start, center, config.sensor, level)
-    )
+    pose = replace(start, center=center) if isinstance(start, RefinedPose) else _at(start, center, sensors, level)
     scale = np.concatenate([np.repeat(pose_inaccuracy(lengthscale), 3), pose.sensor_sd])
-    for _ in range(config.n_steps):
+    for _ in range(MOST_STEPS):
         blocks = compare(base, target, pose, rows)
         if not blocks:
             break
@@ -140,11 +134,11 @@ def refine(
     return replace(pose, prior_information=known, blocks=compare(base, target, pose, rows))
 
 
-def _at(T_base_target: RigidTransform, center: Vector3, config: SensorConfig, level: int) -> RefinedPose:
+def _at(T_base_target: RigidTransform, center: Vector3, mode: SensorMode, level: int) -> RefinedPose:
     """Give a pose before any refinement, with the sensors alike."""
-    sensor = identical_sensors(config, level)
-    sd = prior_sd(config, level, sensor.n_parameters)
-    log_prior = SENSORS_DIFFER * levels_to_try(config).index(level)
+    sensor = identical_sensors(mode, level)
+    sd = prior_sd(level, sensor.n_parameters)
+    log_prior = SENSORS_DIFFER * levels_to_try(mode).index(level)
     return RefinedPose(T_base_target, center, sensor, sd, np.zeros((6, 6)), (), log_prior)
 
 
@@ -251,9 +245,9 @@ def _residual_block(lookup: Lookup, of: PreparedMap, pose: RefinedPose) -> Resid
 
 
 def some_rows(
-    base: PreparedMap, target: PreparedMap, config: RefinementConfig, rng: np.random.Generator
+    base: PreparedMap, target: PreparedMap, n_samples: int, rng: np.random.Generator
 ) -> tuple[Indices, Indices]:
     """Samples of the target and of the base that are compared."""
-    some = (np.sort(rng.permutation(len(m.samples))[: config.n_samples]) for m in (target, base))
+    some = (np.sort(rng.permutation(len(m.samples))[:n_samples]) for m in (target, base))
     of_target, of_base = (rows.astype(np.int64) for rows in some)
     return of_target, of_base

@@ -20,6 +20,8 @@ SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 
 # Prior standard deviation of what must not differ, T: rounding.
 TIED_SD = float(np.sqrt(np.finfo(float).eps)) * CONSTANT_SD
+# Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
+BIAS_LEVELS = (0.05e-6, 3e-6)
 
 
 class SensorConfig(Settings):
@@ -28,8 +30,6 @@ class SensorConfig(Settings):
     # 'auto': bias and scale, and soft iron, at the level that the evidence supports; 'none': identical sensors;
     # 'bias', 'scale' (and bias) and 'full' (soft iron and bias): free at the widest level.
     mode: SensorMode = "auto"
-    # Prior standard deviations of the bias, T, tightest first: of one sensor, and of another that nobody calibrated.
-    bias_levels: tuple[float, ...] = (0.05e-6, 3e-6)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,35 +80,30 @@ class SensorModel:
         return SensorModel(parameters[:3], gain, self.shapes)
 
 
-def levels_to_try(config: SensorConfig) -> tuple[int, ...]:
+def levels_to_try(mode: SensorMode) -> tuple[int, ...]:
     """Prior levels in the order they are tried.
 
     With 'auto', soft iron follows the widest level of bias and scale, if the sensors differ at all.
     """
-    n = len(config.bias_levels)
-    return {"auto": tuple(range(n + 1)), "none": (-1,)}.get(config.mode, (n - 1,))
+    n = len(BIAS_LEVELS)
+    return {"auto": tuple(range(n + 1)), "none": (-1,)}.get(mode, (n - 1,))
 
 
-def is_soft_iron(config: SensorConfig, level: int) -> bool:
-    """Whether all nine numbers of the gain are free."""
-    return config.mode == "full" or level >= len(config.bias_levels)
-
-
-def identical_sensors(config: SensorConfig, level: int) -> SensorModel:
+def identical_sensors(mode: SensorMode, level: int) -> SensorModel:
     """Start of the estimation: no difference, with the parameters that a level may change."""
     shapes = np.zeros((0, 3, 3))
-    if is_soft_iron(config, level):
+    if mode == "full" or level >= len(BIAS_LEVELS):
+        # Soft iron: all nine numbers of the gain are free.
         shapes = np.eye(9).reshape(9, 3, 3)
-    elif config.mode in ("auto", "scale"):
+    elif mode in ("auto", "scale"):
         shapes = np.eye(3)[None]
     return SensorModel(np.zeros(3), np.eye(3), shapes)
 
 
-def prior_sd(config: SensorConfig, level: int, n_parameters: int) -> np.ndarray:
+def prior_sd(level: int, n_parameters: int) -> np.ndarray:
     """Prior standard deviations of the parameters at a level; a negative level ties them to zero."""
     if level < 0:
         return np.full(n_parameters, TIED_SD)
-    level = min(level, len(config.bias_levels) - 1)
-    bias = config.bias_levels[level]
+    bias = BIAS_LEVELS[min(level, len(BIAS_LEVELS) - 1)]
     # In the strongest field, an error of scale is as large as the bias that goes with it.
     return np.concatenate([np.full(3, bias), np.full(n_parameters - 3, bias / CONSTANT_SD)])

@@ -2,7 +2,6 @@
 """Global search without an initial guess: every point has a frame, so one pair of points gives a complete pose."""
 
 import numpy as np
-from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 from scipy.special import ndtri
@@ -22,7 +21,6 @@ from magmatch.estimation.limits import (
     N_ANCHORS,
     N_CANDIDATES,
     N_COARSE,
-    N_DRAWS,
     N_FINE,
     N_NEIGHBOURS,
     RANKING_POINTS,
@@ -35,42 +33,23 @@ from magmatch.registration.prepared.prepared_map import PreparedMap, common_leng
 from magmatch.registration.search.annealing import anneal_poses, schedule
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.scoring import Evidence, score_poses, weigh_samples
-from magmatch.settings import Settings
 from magmatch.typing import Indices, Points, Scalars, Tensors, Vector3
 
 
-class InvariantSearchConfig(Settings):
-    """Counts and scales of the search; the defaults found every pair of the development set."""
-
-    # Target points used as anchors, drawn in proportion to how well their gradient is known.
-    n_anchors: int = Field(default=N_ANCHORS, ge=10)
-    # Base points with the most similar invariants that each anchor is tried on.
-    n_neighbours: int = Field(default=N_NEIGHBOURS, ge=1)
-    # Distinct poses that are refined coarsely, and those that are refined further.
-    n_coarse: int = Field(default=N_COARSE, ge=1)
-    n_fine: int = Field(default=N_FINE, ge=1)
-    # Posterior samples for the spread of invariants and field, and for the maps' part of the covariance.
-    n_draws: int = Field(default=N_DRAWS, ge=2)
-
-
 def invariant_search(
-    base: PreparedMap,
-    target: PreparedMap,
-    prior: PosePrior,
-    config: InvariantSearchConfig,
-    rng: np.random.Generator,
+    base: PreparedMap, target: PreparedMap, prior: PosePrior, rng: np.random.Generator
 ) -> SearchResult:
     """Find the poses under which the base's field explains the target's samples best."""
-    anchors = choose_anchors(target, config.n_anchors, rng)
-    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    anchors = choose_anchors(target, N_ANCHORS, rng)
+    n_neighbours = N_NEIGHBOURS * (1 if prior.is_flat else MORE_NEIGHBOURS)
     neighbours = similar_points(base, target, anchors, n_neighbours)
     evidence, poses = weigh_samples(base, target), frame_poses(base, target, anchors, neighbours)
     rows = judging_samples(poses.anchors_target, target, FEW_POINTS, rng)
     length, center = common_length(base, target), target.samples.mean(axis=0)
-    poses, scores = coarse_poses(poses, rows, evidence, base, prior, center, length, config.n_coarse, rng)
+    poses, scores = coarse_poses(poses, rows, evidence, base, prior, center, length, N_COARSE, rng)
     if not len(scores):
         return SearchResult()
-    keep = distinct_poses(poses.rotations, poses.carry(center), scores, *same_pose(length), config.n_fine)
+    keep = distinct_poses(poses.rotations, poses.carry(center), scores, *same_pose(length), N_FINE)
     poses = poses.subset(keep)
     common = rng.permutation(len(target.samples))[:RANKING_POINTS]
     rows = np.tile(common, (len(anchors), 1))

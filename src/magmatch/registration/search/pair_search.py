@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 from scipy.spatial import cKDTree
 
 from magmatch.estimation.candidate_poses import CandidatePoses
@@ -18,23 +17,10 @@ from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.invariant_search import best_admitted, coarse_poses
 from magmatch.registration.search.kdtree import EVERY_LEAF, NeighbourTree
 from magmatch.registration.search.scoring import Evidence
-from magmatch.settings import Settings
 from magmatch.typing import Indices, Matrix, Points, Vectors
 
 # Shortest and longest pair, in the base's correlation length.
 MIN_DISTANCE, MAX_DISTANCE = 0.8, 6.2
-
-
-class PairSearchConfig(Settings):
-    """Counts of the search."""
-
-    # Most pairs in the table; points that would give more are thinned further.
-    max_pairs: int = Field(default=MAX_PAIRS, ge=1000)
-    # Pairs of the target that propose poses, and base pairs with the most similar invariants that each is tried on.
-    n_pairs: int = Field(default=FEW_POINTS, ge=1)
-    n_neighbours: int = Field(default=N_LIKE_PAIRS, ge=1)
-    # Distinct poses that are refined coarsely: as many as pairs that propose.
-    n_coarse: int = Field(default=FEW_POINTS, ge=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,11 +52,11 @@ class PairTable:
         return self.tree.query(whitened, min(k, len(self.first)), n_leaves)
 
 
-def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float, config: PairSearchConfig) -> PairTable:
+def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float) -> PairTable:
     """List the base's pairs of points; one table serves any number of walks."""
     is_known = base.raster.lookup(base.points)[3]
     x, b, G = base.points[is_known], base.point_field[is_known], base.point_gradient[is_known]
-    rows, pairs = _pairs(x, config, length)
+    rows, pairs = _pairs(x, length)
     # Another walk passes half-way between two points.
     sd_position = SAMPLING / 2 * length
     gradient_rms = float(np.sqrt(np.mean(G**2))) if len(G) else 0.0
@@ -89,19 +75,19 @@ def pair_search(
     table: PairTable,
     walk: Walk,
     prior: PosePrior,
-    config: PairSearchConfig,
     rng: np.random.Generator,
 ) -> SearchResult:
     """Find the poses under which the base's field explains a walk best."""
-    i, j = choose_pairs(walk, table, config, rng)
+    i, j = choose_pairs(walk, table, FEW_POINTS, rng)
     if not len(i) or not len(table.first):
         return SearchResult()
     center = walk.positions.mean(axis=0)
-    n_neighbours = config.n_neighbours * (1 if prior.is_flat else MORE_NEIGHBOURS)
+    n_neighbours = N_LIKE_PAIRS * (1 if prior.is_flat else MORE_NEIGHBOURS)
     similar, _ = table.nearest(invariants_of(walk, i, j), n_neighbours)
     found, evidence = pair_poses(table, walk, i, j, similar), weigh_bins(base, table, walk)
     rows = np.tile(even_choice(len(walk), FEW_POINTS), (len(i), 1))
-    poses, scores = coarse_poses(found, rows, evidence, base, prior, center, table.length, config.n_coarse, rng)
+    # As many distinct poses are refined as pairs propose.
+    poses, scores = coarse_poses(found, rows, evidence, base, prior, center, table.length, FEW_POINTS, rng)
     if not len(scores):
         return SearchResult()
     return SearchResult(
@@ -111,9 +97,7 @@ def pair_search(
     )
 
 
-def choose_pairs(
-    walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator
-) -> tuple[Indices, Indices]:
+def choose_pairs(walk: Walk, table: PairTable, n_pairs: int, rng: np.random.Generator) -> tuple[Indices, Indices]:
     """Draw pairs of bins (rows of the walk), long ones with differing fields first; none if the walk is too short."""
     i, j = np.triu_indices(len(walk), 1)
     d = np.linalg.norm(walk.positions[i] - walk.positions[j], axis=1)
@@ -122,7 +106,7 @@ def choose_pairs(
     i, j, d = i[usable], j[usable], d[usable]
     change = np.linalg.norm(walk.field[i] - walk.field[j], axis=1)
     share = d * (table.sd_field + change)
-    n = min(config.n_pairs, len(usable))
+    n = min(n_pairs, len(usable))
     chosen = rng.choice(len(usable), n, replace=False, p=share / share.sum()) if n else np.zeros(0, dtype=np.int64)
     return i[chosen].astype(np.int64), j[chosen].astype(np.int64)
 
@@ -149,14 +133,14 @@ def pair_poses(table: PairTable, walk: Walk, i: Indices, j: Indices, similar: In
     return CandidatePoses(R, (table.positions[a] + table.positions[b]) / 2, rows, middles)
 
 
-def _pairs(x: Points, config: PairSearchConfig, length: float) -> tuple[Indices, Indices]:
+def _pairs(x: Points, length: float) -> tuple[Indices, Indices]:
     """Thinned points, and the pairs of them in both orders, as many as fit the table."""
     spacing = SAMPLING * length
     while True:
         rows = thin(x, spacing) if len(x) else np.zeros(0, dtype=np.int64)
         tree = cKDTree(x[rows]) if len(rows) else None
         n = tree.count_neighbors(tree, MAX_DISTANCE * length) if tree else 0
-        if n <= config.max_pairs:
+        if n <= MAX_PAIRS:
             break
         spacing *= COARSER
     pairs = np.zeros((0, 2), dtype=np.int64)

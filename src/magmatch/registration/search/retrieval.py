@@ -29,13 +29,7 @@ from magmatch.estimation.limits import (
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
 from magmatch.registration.search.invariant_search import choose_anchors, frame_poses, judging_samples, similar_points
-from magmatch.registration.search.pair_search import (
-    PairSearchConfig,
-    PairTable,
-    choose_pairs,
-    invariants_of,
-    pair_poses,
-)
+from magmatch.registration.search.pair_search import PairTable, choose_pairs, invariants_of, pair_poses
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -50,9 +44,8 @@ def shortlist(votes: Scalars) -> list[int]:
     return [k for n, k in enumerate(order) if n < N_REFINED or votes[k] >= enough]
 
 
-def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfig, seed: int) -> Scalars:
+def count_votes(tables: list[PairTable], target: Survey, seed: int) -> Scalars:
     """Share of a walk's pairs that agree on one pose, in the maps that hold pairs most like them; 0 elsewhere."""
-    few = config.model_copy(update={"n_pairs": FEW_POINTS // RARER, "n_neighbours": N_LIKE_PAIRS // RARER})
     asked: dict[int, Question] = {}
     questions = []
     for table in tables:
@@ -60,12 +53,12 @@ def count_votes(tables: list[PairTable], target: Survey, config: PairSearchConfi
         step = round(float(np.log(table.length) / np.log(COARSER)))
         if step not in asked:
             walk = walk_of(target, COARSER**step)
-            asked[step] = Question.of(walk, table, few, np.random.default_rng(seed))
+            asked[step] = Question.of(walk, table, np.random.default_rng(seed))
         questions.append(asked[step])
     votes = np.zeros(len(tables))
     alike = np.array([one.likeness(table) for one, table in zip(questions, tables, strict=True)])
     for k in np.argsort(-alike, kind="stable")[:MAX_ASKED]:
-        votes[k] = questions[k].votes(tables[k], few.n_neighbours)
+        votes[k] = questions[k].votes(tables[k])
     return votes
 
 
@@ -78,9 +71,9 @@ class Question(NamedTuple):
     invariants: Matrix
 
     @classmethod
-    def of(cls, walk: Walk, table: PairTable, config: PairSearchConfig, rng: np.random.Generator) -> "Question":
+    def of(cls, walk: Walk, table: PairTable, rng: np.random.Generator) -> "Question":
         """Draw pairs that suit a table."""
-        i, j = choose_pairs(walk, table, config, rng)
+        i, j = choose_pairs(walk, table, FEW_POINTS // RARER, rng)
         return cls(walk, i, j, invariants_of(walk, i, j))
 
     def likeness(self, table: PairTable) -> float:
@@ -90,11 +83,11 @@ class Question(NamedTuple):
         _, distance2 = table.nearest(self.invariants, 1, n_leaves=1)
         return float(_weights(distance2, self.invariants).mean())
 
-    def votes(self, table: PairTable, n_neighbours: int) -> float:
+    def votes(self, table: PairTable) -> float:
         """Share of the pairs that agree on the pose most of them agree on."""
         if not len(self.first) or not len(table.first):
             return 0.0
-        similar, distance2 = table.nearest(self.invariants, n_neighbours)
+        similar, distance2 = table.nearest(self.invariants, N_LIKE_PAIRS // RARER)
         poses = pair_poses(table, self.walk, self.first, self.second, similar)
         centers = poses.carry(self.walk.positions.mean(axis=0))
         weights = _weights(distance2, self.invariants).ravel()

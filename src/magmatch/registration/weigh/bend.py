@@ -15,10 +15,11 @@ from magmatch.estimation.walk import Walk
 from magmatch.field.folds import has_path_order
 from magmatch.geometry import adjoint, path_walked, rotation_matrix
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length
-from magmatch.registration.refine.refinement import RefinedPose, RefinementConfig, refine
+from magmatch.registration.refine.refinement import RefinedPose, refine
+from magmatch.registration.refine.sensors import SensorMode
 from magmatch.registration.weigh.covariance import drift_covariance, enclosing, joint_covariance, map_covariance
 from magmatch.registration.weigh.evidence import PoseEvidence
-from magmatch.registration.weigh.refine_and_weigh_walk import LineConfig, LineEvidence, weigh_walk
+from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, weigh_walk
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Vector3
 
 W = TypeVar("W", PoseEvidence, LineEvidence)
@@ -134,20 +135,19 @@ def bend_of_walk(
     noise: PathNoise,
     length: float,
     prior: PosePrior,
-    config: LineConfig,
 ) -> Bend | None:
     """Refine the halves of the covered part from the pose of the whole; None if either has too few bins."""
     is_covered = base.raster.lookup(T_base_walk.apply(walk.positions))[3]
     halves = [
         Half(rows, best.T_base_target, best.center, best.covariance)
         for rows in np.array_split(np.flatnonzero(is_covered), 2)
-        for best in weigh_walk(base, walk.part(rows), [T_base_walk], noise, length, prior, config)[:1]
+        for best in weigh_walk(base, walk.part(rows), [T_base_walk], noise, length, prior)[:1]
     ]
     return bend_between(T_base_walk, walk.positions, is_covered, halves)
 
 
 def bend_of_map(
-    base: PreparedMap, target: PreparedMap, pose: RefinedPose, prior: PosePrior, config: RefinementConfig, seed: int
+    base: PreparedMap, target: PreparedMap, pose: RefinedPose, prior: PosePrior, sensors: SensorMode, seed: int
 ) -> Bend | None:
     """Refine the halves of a map's samples, if they follow a path, from the pose of the whole.
 
@@ -160,10 +160,10 @@ def bend_of_map(
     unlooked, drift, halves = base.part(NO_ROWS), target.drift.together(base.drift), list[Half]()
     for rows in np.array_split(np.flatnonzero(is_covered), 2):
         part = replace(target, drift=drift).part(rows)
-        half = refine(unlooked, part, pose, prior, config, np.random.default_rng(seed))
+        half = refine(unlooked, part, pose, prior, sensors, np.random.default_rng(seed))
         seen = joint_covariance(half, side) if half.blocks else None
         if seen is not None:
-            of_map = map_covariance(unlooked, part, half, config, seed)
+            of_map = map_covariance(unlooked, part, half, seed)
             covariance = enclosing(seen[:6, :6], of_map) + drift_covariance(half)
             halves.append(Half(rows, half.T_base_target, half.center, covariance))
     return bend_between(T, target.samples, is_covered, halves)

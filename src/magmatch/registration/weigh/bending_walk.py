@@ -28,7 +28,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.estimation.candidate_poses import pose_inaccuracy
 from magmatch.estimation.gauss_newton import is_close, perturbed, shortened
 from magmatch.estimation.limits import CLEAR, COARSE_STEPS, MOST_STEPS, N_REFINED
-from magmatch.estimation.model_prior import EACH_DRIFT, RATES, TURNS
+from magmatch.estimation.model_prior import EACH_DRIFT, RATES, TURNS, path_weight
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import distinct, in_order
@@ -39,7 +39,7 @@ from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.weigh.bending import WalkDrift, bending_of
-from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineConfig, LineEvidence
+from magmatch.registration.weigh.refine_and_weigh_walk import FREE_SDS, LineEvidence
 from magmatch.typing import Mask, Matrix, Scalars, Vector3
 
 
@@ -81,16 +81,13 @@ class BendingWalk:
     walk: Walk
     length: float  # m: the base's correlation length
     prior: PosePrior
-    config: LineConfig
     null: UnrelatedWalk  # its noise says how all residuals may be larger or smaller than stated
     turned_null: UnrelatedWalk  # the same, with the walk's turns: more work, so of final poses alone
     drifts: tuple[tuple[WalkDrift, ...], ...]  # tried for each of `TURNS`, the largest first
     share: float  # prior probability of these; the drift of the base's own stretches has the rest
 
     @classmethod
-    def of(
-        cls, base: PreparedMap, walk: Walk, noise: PathNoise, length: float, prior: PosePrior, config: LineConfig
-    ) -> "BendingWalk":
+    def of(cls, base: PreparedMap, walk: Walk, noise: PathNoise, length: float, prior: PosePrior) -> "BendingWalk":
         """State how the walk may bend beyond what the base's own stretches show, and its null models."""
         bendings = [bending_of(walk.positions, turns) for turns in TURNS]
         drifts = [[WalkDrift(rate, one) for rate in reversed(one.turns.rates)] for one in bendings]
@@ -104,7 +101,7 @@ class BendingWalk:
         turned = [one.rate**2 * one.bending.turned(walk.field) for some in drifts for one in some[::-1]]
         with_turns = replace(null, turned=np.stack(turned)) if turned else null
         kept, share = tuple(tuple(some) for some in drifts), len(turned) / n_drifts
-        return cls(base, walk, length, prior, config, null, with_turns, kept, share)
+        return cls(base, walk, length, prior, null, with_turns, kept, share)
 
     def weigh(self, likely: Sequence[LineEvidence]) -> list[LineEvidence]:
         """Weigh poses at each drift, beside those at the drift of the base's own stretches; best first."""
@@ -191,7 +188,7 @@ class BendingWalk:
         told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
         occam = (
             float(self.prior.log_densities(prior[None], np.array([prior_chi2]))[0])
-            + float(self.config.log_weight(self.walk.length / self.length, known.mean()))
+            + float(path_weight(self.walk.length / self.length, known.mean()))
             - float(np.log(np.diag(factor)).sum())
             - self.null.log_likelihood(known)
         )

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from magmatch.estimation.limits import COARSE_STEPS, MOST_STEPS
+from magmatch.estimation.limits import COARSE_STEPS, MOST_STEPS, N_CHANGED
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import in_order
 from magmatch.progress import tell
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.registration.refine.changes import ChangeConfig, refine_beside_changes
+from magmatch.registration.refine.changes import MAX_MISFIT, refine_beside_changes
 from magmatch.registration.refine.refinement import RefinedPose, step_between
 from magmatch.registration.weigh.cells import (
     UNCHANGED_SHARES,
@@ -36,20 +36,17 @@ class ChangeSearch:
     target: PreparedMap
     nulls: NullModels
     prior: PosePrior
-    config: ChangeConfig
     seed: int
 
     def poses(self, starts: Sequence[RigidTransform], best: PoseEvidence, model: RefinedPose) -> list[PoseEvidence]:
         """Poses with a change beside them, if the best pose without one leaves residuals that are too large."""
-        if not self.config.is_enabled or not self.config.max_misfit < best.misfit < np.inf:
+        if not MAX_MISFIT < best.misfit < np.inf:
             return []
         tried = [replace(model, T_base_target=T) for T in [*starts, model.T_base_target]]
         agreements = sorted(((self._agreement(pose)[1], pose) for pose in tried), key=lambda pair: -pair[0])
         tell("something may have moved; looking for poses beside changes")
         found = [
-            self._best_followed(pose)
-            for agreement, pose in agreements[: self.config.n_candidates]
-            if agreement + best.price > 0
+            self._best_followed(pose) for agreement, pose in agreements[:N_CHANGED] if agreement + best.price > 0
         ]
         return in_order([*found, *(self._without_changed_cells(one.pose) for one in found if one is not None)])
 
@@ -94,7 +91,7 @@ class ChangeSearch:
             if n_steps < COARSE_STEPS:
                 rows, _, price, n_cells = self._agreement(pose, shares)
             agrees, rng = nulls.target.cells.holds(rows), np.random.default_rng(self.seed)
-            found = refine_beside_changes(base, target, pose, agrees, prior, self.config, rng)
+            found = refine_beside_changes(base, target, pose, agrees, prior, rng)
             if found is None:
                 return None
             change = Change(found.change_at(target.samples), rows, len(rows) / n_cells, found.log_ratio - price)

@@ -8,12 +8,12 @@ residual shows it. Draws from the maps' posteriors show it: each shifts the pose
 import numpy as np
 
 from magmatch.estimation.cubes import sum_by_cube
+from magmatch.estimation.limits import MOST_POINTS
 from magmatch.geometry import ROUNDING, rotate_vectors, transform_points
 from magmatch.registration.prepared.prepared_map import PreparedMap
 from magmatch.registration.refine.refinement import (
     Lookup,
     RefinedPose,
-    RefinementConfig,
     information_of,
     look_up,
     residual_jacobian,
@@ -77,11 +77,9 @@ def drift_covariance(pose: RefinedPose) -> Covariance6:
     return covariance
 
 
-def map_covariance(
-    base: PreparedMap, target: PreparedMap, pose: RefinedPose, config: RefinementConfig, seed: int
-) -> Covariance6:
+def map_covariance(base: PreparedMap, target: PreparedMap, pose: RefinedPose, seed: int) -> Covariance6:
     """Covariance of a pose through the maps' own uncertainty alone."""
-    T, rows = pose.T_base_target, some_rows(base, target, config, np.random.default_rng(seed))
+    T, rows = pose.T_base_target, some_rows(base, target, MOST_POINTS, np.random.default_rng(seed))
     forward, backward = look_up(base, target, pose, rows)
     information = information_of(pose.blocks) + pose.known_before
     # The base's field enters the residual with a minus, the target's with a plus.

@@ -7,16 +7,16 @@ centre c, ``T Exp(xi)``: Jacobian ``[-[b]x + G [y - c]x, -G]``, G the base's gra
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE, pose_inaccuracy
 from magmatch.estimation.gauss_newton import perturbed, shortened
 from magmatch.estimation.limits import COARSE_STEPS, FINE_STEPS, N_REFINED
+from magmatch.estimation.model_prior import UNEXPLAINED, path_weight
 from magmatch.estimation.path_noise import PathNoise
 from magmatch.estimation.pose_prior import FAR2, PosePrior
 from magmatch.estimation.posterior import Kind
@@ -27,25 +27,12 @@ from magmatch.field.values import gradient_of
 from magmatch.geometry import rotation_matrix, transform_of
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.prepared_map import PreparedMap
-from magmatch.settings import Settings
 from magmatch.typing import Covariance6, Indices, Mask, Matrix, Points, Scalars, Tensors, Vector3
 
 # Prior standard deviation of a pose in undetermined directions, in those of the search: far wider.
 FREE_SDS = 5.0
 # Bins that something disturbs together, at least.
 PIECE_BINS = 5
-
-
-class LineConfig(Settings):
-    """Settings of the generalised least squares."""
-
-    # Penalty of a pose for each correlation length of path that it leaves unexplained, nats: outside the base map, as
-    # there are many ways out, and wrong poses tend to lie at its border, where a few bins fit; or disturbed.
-    price: float = Field(default=3.0, ge=0)
-
-    def log_weight(self, path: float, share: Any) -> Any:
-        """Weight of poses of which each puts a share of a path (in correlation lengths) inside the base map."""
-        return -self.price * path * (1 - share)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -85,7 +72,6 @@ def weigh_walk(
     noise: PathNoise,
     length: float,
     prior: PosePrior,
-    config: LineConfig,
     bending: np.ndarray | None = None,
     null: UnrelatedWalk | None = None,
 ) -> list[LineEvidence]:
@@ -106,20 +92,20 @@ def weigh_walk(
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))
     if not len(coarse.chi2):
         return []
-    roughly = _weigh(coarse, squares, null, config)
+    roughly = _weigh(coarse, squares, null)
     order = np.argsort([-e.log_evidence for e in roughly], kind="stable")
     best = coarse.rows(order[:N_REFINED])
     settled = squares.run(best.rotations, best.centers, _strained(best), FINE_STEPS, is_full=False)
     fine = squares.run(settled.rotations, settled.centers, _strained(settled), FINE_STEPS, is_full=True)
-    weighed = _weigh(_covered(fine), squares, null, config)
+    weighed = _weigh(_covered(fine), squares, null)
     weighed += [roughly[k] for k in order[N_REFINED:]]
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
 
-def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float, config: LineConfig) -> PosePrior:
+def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float) -> PosePrior:
     """Spread a prior over poses that put a walk inside a base, as they are weighed."""
     path = walk.length / length
-    return spread_inside(prior, base.raster, walk.positions, lambda share: config.log_weight(path, share))
+    return spread_inside(prior, base.raster, walk.positions, lambda share: path_weight(path, share))
 
 
 def _covered(fits: "_Fits") -> "_Fits":
@@ -252,7 +238,7 @@ class _LeastSquares:
         return np.repeat(pose_inaccuracy(self.length), 3)
 
 
-def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: LineConfig) -> list[LineEvidence]:
+def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[LineEvidence]:
     """Evidence of each pose; the covariance's common factor is the most likely one under its learned spread."""
     if not len(fits.chi2):
         return []
@@ -271,8 +257,8 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk, config: Lin
         - np.array([null.log_likelihood(known) for known in fits.known])
         - 0.5 * np.linalg.slogdet(fits.information / (2 * np.pi))[1]
         + squares.prior.log_densities(fits.prior_information, fits.prior_chi2)
-        + config.log_weight(path, fits.known.mean(axis=1))
-        - config.price * path * (fits.strain > 1).mean(axis=1)
+        + path_weight(path, fits.known.mean(axis=1))
+        + UNEXPLAINED * path * (fits.strain > 1).mean(axis=1)
     )
     attainable = log_evidence + np.maximum(squares.noise.factor(n_free, n_free)[1] - log_likelihood, 0.0)
     misfit = np.sqrt(fits.chi2 / n_free)

@@ -24,7 +24,7 @@ from magmatch.slam.session import Session
 from magmatch.slam.windows import cut
 from magmatch.store import expect, load, naming, save
 
-SESSION, SCHEMA = "session.state", "magmatch.slam.session/8"
+SESSION, SCHEMA = "session.state", "magmatch.slam.session/9"
 KINDS = (Anchor, Closure, Hyperparameters, PathNoise, SubmapFactor)
 
 
@@ -95,7 +95,7 @@ def _places(content: dict[str, Any], given: Sequence[Survey]) -> Places:
     h, gradient, noise, length, anchors = (
         content[k] for k in ("hyperparameters", "squared_gradient", "noise", "length", "anchors")
     )
-    maker = SubmapMaker(h, gradient, noise, length, config.search)
+    maker = SubmapMaker(h, gradient, noise, length)
     if anchors:
         graph.fixed = fixed_points(anchors, paths)
     # Poses stay as they were; covariances follow from this.

@@ -83,7 +83,7 @@ class Anywhere:
     def prior(self, window: Window, base: Submap) -> PosePrior:
         """Poses that put the window inside the base are alike probable."""
         prior, index = _prior(window, base, self.volume), base.index
-        return inside_base(prior, index.base, window.walk, index.length, window.config.evidence)
+        return inside_base(prior, index.base, window.walk, index.length)
 
     def log_densities(self, window: Window, _: RigidTransform, prior: PosePrior) -> tuple[float, float]:
         """Log density, which is the same everywhere."""
@@ -153,14 +153,14 @@ def matches(
     They are refined from poses that are known, where the base was searched before, else from those of a search; and
     from the predicted pose. With some nodes, only from those that lie in their windows.
     """
-    index, walk, config = base.index, window.walk, window.config
+    index, walk = base.index, window.walk
     prior = expected.prior(window, base)
     T_base, T_walk = index.base.T_map_model, walk.T_survey_walk
     T_model_base, T_walk_log = T_base.inv(), T_walk.inv()
     T_walk_node = product(T_walk_log, window.T_log_node)
     T_node_walk = T_walk_node.inv()
     if known is None:
-        proposed = pair_search(index.base, index.table, walk, prior, config.search, np.random.default_rng(0))
+        proposed = pair_search(index.base, index.table, walk, prior, np.random.default_rng(0))
         starts = list(proposed.poses)
     else:
         starts = [T for T in (product(T_model_base, T, T_walk) for T in known) if _is_expected(T, window, prior)]
@@ -172,9 +172,7 @@ def matches(
     if not starts:
         return []
     null = _unrelated(window, index.noise, is_predicted=prior.T_base_target is not None)
-    weighed = weigh_walk(
-        index.base, walk, starts, index.noise, index.length, prior, config.evidence, window.bending, null
-    )
+    weighed = weigh_walk(index.base, walk, starts, index.noise, index.length, prior, window.bending, null)
     M = adjoint(window.T_middle_node.inv())
     # Gravity and the floor hold each window by itself.
     predicted = replace(prior, up_base=None, up_target=None, height=None)

@@ -15,7 +15,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.map import FieldMap
 from magmatch.registration.index.map_index import WalkIndex
 from magmatch.registration.prepared.prepared_map import prepare
-from magmatch.registration.search.pair_search import PairSearchConfig, PairTable, tabulate_pairs
+from magmatch.registration.search.pair_search import PairTable, tabulate_pairs
 from magmatch.runner import Shared
 from magmatch.slam.graph.pose_graph import PoseGraph
 from magmatch.slam.graph.trajectories import corrected
@@ -61,9 +61,9 @@ class Submap:
 @single_threaded
 def make_submap(
     survey: Survey, node: Indices, hyperparameters: Hyperparameters, noise: PathNoise, length: float,
-    search: PairSearchConfig | None,
+    is_searched: bool,
 ) -> Submap:  # fmt: skip
-    """Map some path, and list its pairs of points if it is searched; without, poses that are given are weighed in it.
+    """Map some path, and list its pairs of points if it is searched; else, poses that are given are weighed in it.
 
     ``length``: over which the field changes, m.
     """
@@ -76,7 +76,7 @@ def make_submap(
     prepared = replace(
         prepared, field_map=replace(field_map, posterior=mean), posterior=mean, correlation_length=length, draws=list
     )
-    table = PairTable.empty(length) if search is None else tabulate_pairs(prepared, length, noise.total_sd, search)
+    table = tabulate_pairs(prepared, length, noise.total_sd) if is_searched else PairTable.empty(length)
     return Submap(survey, node, WalkIndex(prepared, length, noise, noise, table))
 
 
@@ -98,7 +98,6 @@ class SubmapMaker:
     squared_gradient: float  # (T/m)^2: the mean along all paths that the hyperparameters are of
     noise: PathNoise
     length: float  # m: over which the field changes
-    search: PairSearchConfig
 
     def piece(self, path: Path, node: int) -> Shared[Submap]:
         """Submap of the windows of two nodes, of which the first is given, with one more on either side."""
@@ -115,5 +114,5 @@ class SubmapMaker:
         survey = replace(survey, times=None, orientations=None)
         hyperparameters = as_rough_as_here(self.hyperparameters, self.squared_gradient, survey, self.length)
         # The noise that is known now tells which pairs of points are listed.
-        about = (survey, node, hyperparameters, self.noise, self.length, self.search)
+        about = (survey, node, hyperparameters, self.noise, self.length, True)
         return Shared(make_submap, about, len(node))

@@ -42,9 +42,9 @@ def register_by_refinement(
     """Refine one start against the field and judge it as this package's registration does: no search."""
     clock = Clock()
     strategy = MapStrategy.of(target_map, config, seed, clock)
-    pair = strategy.pair(prepare_index(base_map, config))
+    pair = strategy.pair(prepare_index(base_map))
     T_model, rng = pair.T_base_model.inv() * start * pair.T_target_model, np.random.default_rng(seed)
-    pose = refine(pair.base, pair.target, T_model, pair.prior, config.refinement, rng)
+    pose = refine(pair.base, pair.target, T_model, pair.prior, strategy.sensors, rng)
     evidence = weigh_pose(pair.base, pair.target, pose, null_models_of(pair.base, pair.target), pair.prior)
     return settle_and_decide(Weighed(strategy, pair, SearchResult((T_model,)), [evidence]), config.decision, clock)
 
