@@ -33,14 +33,12 @@ from magmatch.registration.search.pair_search import PairTable, choose_pairs, in
 from magmatch.registration.search.scoring import score_poses, weigh_samples
 from magmatch.typing import Indices, Matrix, Scalars
 
-# Maps with this share of the most votes are searched in full, too.
-SHORTLIST_SHARE = 0.5
-
 
 def shortlist(votes: Scalars) -> list[int]:
     """Maps for a full search, most likely first: always a few, and those nearly as likely as the first."""
     order = np.argsort(-votes, kind="stable")[:N_CANDIDATES].tolist()
-    enough = SHORTLIST_SHARE * votes[order[0]]
+    # A map with so many times fewer votes is not worth a search.
+    enough = votes[order[0]] / RARER
     return [k for n, k in enumerate(order) if n < N_REFINED or votes[k] >= enough]
 
 
