@@ -16,9 +16,9 @@ from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.estimate import Pair
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.map_index import prepare_index
-from magmatch.registration.pair import Pair
 from magmatch.registration.register import register
 from magmatch.registration.result import Links, Status
 from magmatch.registration.search.candidate import SearchResult

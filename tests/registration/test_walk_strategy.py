@@ -12,8 +12,8 @@ from magmatch.estimation.walk import Walk
 from magmatch.geometry import random_transform
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig, Verdict
+from magmatch.registration.decide.estimate import Pair
 from magmatch.registration.index.map_index import WalkIndex
-from magmatch.registration.pair import Pair
 from magmatch.registration.result import Status
 from magmatch.registration.steps import _naming_drift
 from magmatch.registration.walk_strategy import WalkStrategy

@@ -13,12 +13,11 @@ from magmatch.estimation.pose_prior import PosePrior, pose_prior
 from magmatch.field.map import FieldMap
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.estimate import Estimate, Pair
 from magmatch.registration.decide.support import Support, support_of_map
 from magmatch.registration.index.atlas import Bases
 from magmatch.registration.index.map_index import MapIndex
 from magmatch.registration.maps import as_map
-from magmatch.registration.pair import Pair
 from magmatch.registration.prepared.inside import spread_inside
 from magmatch.registration.prepared.prepared_map import PreparedMap, common_length, height_range, prepare
 from magmatch.registration.refine.sensors import SensorMode

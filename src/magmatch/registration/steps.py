@@ -17,13 +17,12 @@ from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
 from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, Verdict, decide
-from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.estimate import Estimate, Pair
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.atlas import Atlas, Bases, OneBase
 from magmatch.registration.index.map_index import MapIndex, prepare_index
 from magmatch.registration.map_strategy import MapStrategy
 from magmatch.registration.maps import as_map, map_base, map_of
-from magmatch.registration.pair import Pair
 from magmatch.registration.published_answer import answer_of
 from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult

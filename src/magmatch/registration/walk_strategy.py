@@ -11,11 +11,10 @@ from magmatch.estimation.pose_prior import pose_prior
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import RegistrationConfig
-from magmatch.registration.decide.estimate import Estimate
+from magmatch.registration.decide.estimate import Estimate, Pair
 from magmatch.registration.decide.support import Support, support_of_walk
 from magmatch.registration.index.atlas import Bases
 from magmatch.registration.index.map_index import MapIndex, WalkIndex
-from magmatch.registration.pair import Pair
 from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search

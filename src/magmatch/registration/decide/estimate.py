@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A pose with its covariance in the surveys' own frames, and its insufficiently determined directions."""
+"""A pair that is compared; a pose of it in the surveys' own frames, with covariance and undetermined directions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import Hypothesis, worst_sd
 from magmatch.geometry import adjoint, perturbation, perturbation_between, rotation_matrix
 from magmatch.registration.result import DegenerateDirection
 from magmatch.typing import Covariance6, Vector3
+
+BaseSide = TypeVar("BaseSide")
+TargetSide = TypeVar("TargetSide")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,6 +83,23 @@ class Estimate:
             motion, along = ("turning about", theta) if is_turn else ("sliding along", rho)
             found.append(DegenerateDirection(xi / np.linalg.norm(xi), f"{motion} base {_axis_words(R @ along)}"))
         return tuple(found)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Pair(Generic[BaseSide, TargetSide]):
+    """Base and target prepared for a strategy, and the pose prior."""
+
+    base: BaseSide
+    target: TargetSide
+    prior: PosePrior
+    length: float  # m: correlation length of the field, the scale of tolerances
+    # Survey frames from the frames in which poses are searched
+    T_base_model: RigidTransform
+    T_target_model: RigidTransform
+
+    def estimate(self, pose: Hypothesis) -> Estimate:
+        """A pose of this pair in the surveys' frames."""
+        return Estimate.of(pose, self.T_base_model, self.T_target_model)
 
 
 def _axis_words(v: np.ndarray) -> str:
