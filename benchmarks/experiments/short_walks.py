@@ -75,7 +75,7 @@ def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
     values[(*known[near].T, 3)] = -1.0
     base = replace(index.base, raster=raster._replace(values=values))
     table = tabulate_pairs(base, walks.length, walks.noise.total_sd)
-    return MapIndex(base, lambda: replace(walks, base=base, table=table))
+    return MapIndex(base, [replace(walks, base=base, table=table)])
 
 
 def register_walk(index: MapIndex, target: Survey, seed: int) -> mm.RegistrationResult:
@@ -97,7 +97,7 @@ def building(source: Path | None) -> tuple[dict[str, Survey], MapIndex]:
         f"base: {len(walks['training'])} samples, map {mapping:.1f} s, index {indexing:.1f} s "
         f"({len(walk_index.table.first)} pairs of points), field length {walk_index.length:.2f} m\n{walk_index.noise}"
     )
-    return walks, MapIndex(walk_index.base, lambda: walk_index)
+    return walks, MapIndex(walk_index.base, [walk_index])
 
 
 def try_one(name: str, *, seed: int, source: Path | None, is_cut_out: bool) -> Row:

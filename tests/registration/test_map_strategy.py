@@ -33,7 +33,7 @@ def settled(spread=0.0, **changes):
     base = replace(prepared_map(FIELD, box(rng, 300, (2.6, 2.2, 1.4)), rng, length=0.5), T_map_model=T_BASE, **known)
     target = replace(prepared_map(FIELD, box(rng, 300), rng, length=0.8), T_map_model=T_TARGET, **known)
     strategy = MapStrategy(target, CONFIG, 0)
-    pair = strategy.pair(MapIndex(base, lambda: None))
+    pair = strategy.pair(MapIndex(base))
     here = RigidTransform.identity()
     pose = refine(base, target, here, pair.prior, "none", np.random.default_rng(0), -1)
     blocks = tuple(replace(b, drift=1e-3 * b.information**2 / np.abs(b.information).max()) for b in pose.blocks)

@@ -71,7 +71,7 @@ def register_once(
     if config.search == "keypoints" and not isinstance(base, Atlas):
         return _by_published_method(base, target, config, seed, clock)
     with clock("prepare"):
-        bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base), config)
+        bases: Bases = base if isinstance(base, Atlas) else OneBase(prepare_index(base))
     weighed = dict[Any, Weighed]()
     best: Any = None
     answer = None
@@ -89,8 +89,8 @@ def register_once(
             with clock("refine"):
                 look = refine_and_weigh(strategy, pair, found, given)
             looks = (look, weighed.get(one, look))
-            weighed[one] = max(looks, key=lambda each: each.best_log_odds(bases.config.decision))
-        best, answer = decide_among(bases, weighed, clock)
+            weighed[one] = max(looks, key=lambda each: each.best_log_odds(config.decision))
+        best, answer = decide_among(bases, weighed, config.decision, clock)
         if answer.is_accepted:
             break
     assert answer is not None  # there is always a strategy
@@ -135,14 +135,16 @@ def refine_and_weigh(strategy: Strategy, pair: Any, found: SearchResult, given: 
     return Weighed(strategy, pair, found, ranked)
 
 
-def decide_among(bases: Bases, weighed: dict[Any, Weighed], clock: Clock) -> tuple[Any, RegistrationResult]:
+def decide_among(
+    bases: Bases, weighed: dict[Any, Weighed], config: DecisionConfig, clock: Clock
+) -> tuple[Any, RegistrationResult]:
     """Decide on the best pose of all maps; a refusal shows the best pose in each other map, too."""
-    odds = {one: found.best_log_odds(bases.config.decision) for one, found in weighed.items()}
+    odds = {one: found.best_log_odds(config) for one, found in weighed.items()}
     best, *others = sorted(weighed, key=lambda one: -odds[one])
 
     def answer_in(one: Any) -> RegistrationResult:
         elsewhere = max((odds[other] for other in odds if other is not one), default=-np.inf)
-        return settle_and_decide(replace(weighed[one], elsewhere=elsewhere), bases.config.decision, clock)
+        return settle_and_decide(replace(weighed[one], elsewhere=elsewhere), config, clock)
 
     answer = answer_in(best)
     if answer.is_accepted:

@@ -51,7 +51,7 @@ def register_walk(index, target, seed=0, prior=None):
     """What the base's side alone says of a walk."""
     config = RegistrationConfig(prior=prior or PosePriorConfig())
     strategy = WalkStrategy(target, target, config, seed)
-    pair = strategy.pair(MapIndex(index.base, lambda: index))
+    pair = strategy.pair(MapIndex(index.base, [index]))
     weighed = refine_and_weigh(strategy, pair, strategy.search(pair))
     return settle_and_decide(weighed, config.decision, Clock())
 

@@ -120,7 +120,6 @@ class OneBase:
     """A single map, which needs no votes."""
 
     index: MapIndex
-    config: RegistrationConfig
 
     @property
     def length(self) -> float:

@@ -8,7 +8,6 @@ lost by deleting it, and where it cannot be written it is made each time.
 import hashlib
 import json
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
@@ -59,19 +58,11 @@ class MapIndex:
     Attributes
     ----------
     base : PreparedMap
-    make_walks : callable
-        Gives what walks need in addition; this takes seconds unless it was kept.
-    file : MapFile, optional
-        The map's own file, beside which all of it is kept as soon as it is made.
-    key : str
-        Of `index_key`.
+        If the map has a file, all that is made is kept beside it, as soon as it is made.
     """
 
     base: PreparedMap
-    make_walks: Callable[[], WalkIndex]
-    file: MapFile | None = None
-    key: str = ""
-    _walks: list[WalkIndex] = field(default_factory=list, init=False, repr=False)
+    _walks: list[WalkIndex] = field(default_factory=list, repr=False)
     # As a tree of `magmatch.store`: what follows from the base alone, and further rasters by their spacing
     _parts: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
     _rasters: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
@@ -80,9 +71,9 @@ class MapIndex:
 
     @property
     def walks(self) -> WalkIndex:
-        """The part that walks need in addition, computed on first use."""
+        """The part that walks need in addition, computed on first use; this takes seconds unless it was kept."""
         if not self._walks:
-            self._walks.append(self.make_walks())
+            self._walks.append(index_walks(self.base, _base_rng()))
             self.keep()
         return self._walks[0]
 
@@ -131,13 +122,14 @@ class MapIndex:
             table = self.walks.table
             table = replace(table, first=table.first.astype(np.int32), second=table.second.astype(np.int32))
             walks = {"noise": self.walks.noise, "live_noise": self.walks.live_noise, "table": table}
-        return self._parts | {"key": self.key, "walks": walks, "rasters": self._rasters}
+        file = self.field_map.file
+        return self._parts | {"key": index_key(file) if file else "", "walks": walks, "rasters": self._rasters}
 
     def keep(self) -> None:
         """Write what was prepared so far beside the map, where that is allowed and the map is still the same."""
         try:
-            if self.file is not None and MapFile.of(self.file.path) == self.file:
-                save(index_path(self.file.path), SCHEMA, self.content())
+            if (file := self.field_map.file) is not None and MapFile.of(file.path) == file:
+                save(index_path(file.path), SCHEMA, self.content())
         except (OSError, ValueError) as error:
             log.debug("what was prepared of a map is not kept: %s", error)
 
@@ -192,7 +184,7 @@ class IndexFile:
             draws=cache(partial(_draws, parts["draws"], field_map, parts["n_draws"])),
             **{name: np.array(parts["prepared"][name]) for name in PREPARED},
         )
-        index = _index_over(base, self.key)
+        index = MapIndex(base)
         walks = parts.pop("walks")
         if walks is not None:
             index._walks.append(WalkIndex(base, self.table.length, walks["noise"], walks["live_noise"], self.table))
@@ -217,7 +209,7 @@ def prepare_index(base: FieldMap | MapIndex) -> MapIndex:
     # With more threads the order of sums changes, and what was kept would give other bits than the map itself.
     with one_blas_thread():
         prepared = prepare(base, N_DRAWS, _base_rng())
-    index = _index_over(prepared, index_key(base.file) if base.file else "")
+    index = MapIndex(prepared)
     index.keep()
     return index
 
@@ -227,10 +219,6 @@ def index_walks(base: PreparedMap, rng: np.random.Generator) -> WalkIndex:
     length = base.correlation_length
     noise, live_noise = learn_path_noise(base.field_map, length, rng)
     return WalkIndex(base, length, noise, live_noise, tabulate_pairs(base, length, noise.total_sd))
-
-
-def _index_over(base: PreparedMap, key: str) -> MapIndex:
-    return MapIndex(base, lambda: index_walks(base, _base_rng()), base.field_map.file, key)
 
 
 def _base_rng() -> np.random.Generator:
