@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 import magmatch as mm
 from magmatch.cli.main import build_app
 from magmatch.errors import ConfigurationError
+from magmatch.registration.decide.decision import MAX_SD_IN_LENGTHS
 from magmatch.settings import Settings
 
 N = 40
@@ -58,9 +59,7 @@ STATED = {
     ("register", "--prior-pose-sd"): lambda c: (c.prior.sd_translation, degrees(c.prior.sd_rotation)),
     ("register", "--gravity-sd"): lambda c: (degrees(c.prior.gravity_sd),),
     ("register", "--min-probability"): lambda c: (c.decision.min_probability,),
-    ("register", "--max-sd"): lambda c: (
-        c.decision.max_sd_translation_in_lengths, degrees(c.decision.max_sd_rotation),
-    ),
+    ("register", "--max-sd"): lambda c: (MAX_SD_IN_LENGTHS, degrees(c.decision.max_sd_rotation)),
     ("slam", "--odometry-sd"): lambda c: c.odometry.sd,
     ("localize", "--odometry-sd"): lambda c: c.settled().odometry.sd,
     ("localize", "--min-probability"): lambda c: (c.decision.min_probability,),

@@ -46,7 +46,7 @@ def in_sds(result, other):
     return np.abs(step / np.sqrt(np.diag(result.covariance))).max()
 
 
-@pytest.mark.parametrize("kind", ["place", "walk"])
+@pytest.mark.parametrize("kind", ["place", pytest.param("walk", marks=pytest.mark.slow)])
 def test_judging_an_accepted_pose_gives_it_again_with_its_probability(kind, request):
     place = request.getfixturevalue(kind)
     assert place.found.is_accepted

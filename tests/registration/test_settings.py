@@ -75,7 +75,6 @@ WORDS: dict[str, tuple[Any, ...]] = {
     # Nearly nothing allowed, and nearly certainty asked for.
     "decision.min_probability": (1 - 1e-15, 0.5),
     "decision.max_sd_translation": (1e-4,),
-    "decision.max_sd_translation_in_lengths": (3e-4,),
     "decision.max_sd_rotation": (1e-4,),
 }
 # Asked elsewhere: what 'auto' found, kept with the settings that it led to; settings of which the tests of their own

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from magmatch.estimation.posterior import RIGHT_WITHIN
 from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD, Drift, OdometryConfig
-from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.decision import MAX_SD_IN_LENGTHS, DecisionConfig
 from magmatch.settings import Settings
 
 # Drift of a robot's odometry, m and degrees after 10 m.
@@ -86,6 +86,4 @@ class LocalizerConfig(Settings):
     def same(self, length: float) -> tuple[float, float]:
         """Within what two hypotheses are one answer (m, rad), given the field length (m): less than may be stated."""
         shift, turn = self.decision.tolerance(length)
-        return min(shift, RIGHT_WITHIN * self.decision.max_sd_translation_in_lengths * length), min(
-            turn, self.same_rotation
-        )
+        return min(shift, RIGHT_WITHIN * MAX_SD_IN_LENGTHS * length), min(turn, self.same_rotation)

@@ -92,7 +92,8 @@ def test_the_search_finds_the_turn_between_and_counts_what_it_tried(pair):
     for k, T in enumerate(found.poses):
         for S in found.poses[:k]:
             angle = (T.rotation.inv() * S.rotation).magnitude()
-            assert angle > 0.13 or np.linalg.norm(T.apply(center) - S.apply(center)) > 0.4
+            # Both inaccuracies together: of 0.1 rad and of 0.2 correlation lengths of 0.6 m.
+            assert angle > 0.199 or np.linalg.norm(T.apply(center) - S.apply(center)) > 0.239
 
 
 def test_what_a_prior_rules_out_is_not_handed_on(pair):

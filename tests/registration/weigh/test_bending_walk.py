@@ -38,6 +38,7 @@ def weigher(index, target):
     return pair, BendingWalk.of(walks.base, pair.target, walks.noise, walks.length, pair.prior)
 
 
+@pytest.mark.slow
 def test_a_walk_that_drifts_is_found_with_a_covariance_that_holds_its_drift(drifting):
     pair, index = drifting
     result = register(index, pair.target)

@@ -12,23 +12,25 @@ from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.result import Status
 from magmatch.settings import Settings
 
+# Largest standard deviation of the target's position where none is asked for, in correlation lengths of the field.
+MAX_SD_IN_LENGTHS = 0.3
+
 
 class DecisionConfig(Settings):
     """When a pose is accepted."""
 
     # Least probability that the pose is right.
     min_probability: float = Field(default=1 - RARE, gt=0, lt=1)
-    # Largest standard deviation in the worst direction: of the target's position, m (None: a share of the field's
+    # Largest standard deviation in the worst direction: of the target's position, m (None: 0.3 of the field's
     # correlation length), and of its rotation, rad.
     max_sd_translation: float | None = Field(default=None, gt=0)
-    max_sd_translation_in_lengths: float = Field(default=0.3, gt=0)
     max_sd_rotation: float = Field(default=0.08, gt=0)
     # Prior odds that both surveys cover a common place, before their fields are compared.
     prior_odds: float = Field(default=1.0, gt=0)
 
     def max_sd(self, length: float) -> tuple[float, float]:
         """Largest standard deviations (m, rad), given the field's correlation length (m)."""
-        return self.max_sd_translation or self.max_sd_translation_in_lengths * length, self.max_sd_rotation
+        return self.max_sd_translation or MAX_SD_IN_LENGTHS * length, self.max_sd_rotation
 
     def tolerance(self, length: float) -> tuple[float, float]:
         """Largest error of an answer that counts as right (m, rad)."""
