@@ -77,7 +77,7 @@ def one_sided(index, target):
     strategy = WalkStrategy(target, target, PRESETS["default"], 0)
     walk = strategy.pair(index)
     starts = strategy.search(walk).poses
-    best = weigh_walk(walks.base, walk.target, starts, walks.noise, walks.length, walk.prior)[0]
+    best = weigh_walk(walks.base, walk.target, starts, walks.noise, walk.prior)[0]
     return walk.estimate(best).T_base_target
 
 

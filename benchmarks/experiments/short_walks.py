@@ -74,7 +74,7 @@ def cut_out(index: MapIndex, path_model: np.ndarray, radius: float) -> MapIndex:
     values = raster.values.copy()
     values[(*known[near].T, 3)] = -1.0
     base = replace(index.base, raster=raster._replace(values=values))
-    table = tabulate_pairs(base, walks.length, walks.noise.total_sd)
+    table = tabulate_pairs(base, walks.noise.total_sd)
     return MapIndex(base, [replace(walks, base=base, table=table)])
 
 

@@ -31,7 +31,7 @@ BEST = LineEvidence(
 )  # fmt: skip
 STRATEGY = WalkStrategy(None, None, RegistrationConfig(), 0)
 PAIR = Pair(
-    WalkIndex(prepared_map(some_field(1), POSITIONS), 2.0, LEARNED, LEARNED, None),
+    WalkIndex(prepared_map(some_field(1), POSITIONS, length=2.0), LEARNED, LEARNED, None),
     WALK,
     PosePrior(1.0),
     2.0,

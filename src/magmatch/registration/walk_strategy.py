@@ -51,7 +51,7 @@ class WalkStrategy:
         walk = walk_of(self.samples, length or index.length)
         frames = index.base.T_map_model, walk.T_survey_walk
         prior = pose_prior(self.config.prior, *frames, volume or index.volume, height_range(index.base))
-        prior = inside_base(prior, index.base, walk, walks.length)
+        prior = inside_base(prior, index.base, walk)
         return Pair(walks, walk, prior, walks.length, *frames)
 
     def search(self, pair: WalkPair) -> SearchResult:
@@ -62,10 +62,10 @@ class WalkStrategy:
     def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> list[LineEvidence]:
         """Generalised least squares, with what this base's own stretches show of residuals, and with more drift."""
         walks = pair.base
-        ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, walks.length, pair.prior)
+        ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, pair.prior)
         if not ranked or (walks.noise.is_learned and ranked[0].is_explained):
             return ranked  # nothing is left for more drift to explain
-        return BendingWalk.of(walks.base, pair.target, walks.noise, walks.length, pair.prior).weigh(ranked)
+        return BendingWalk.of(walks.base, pair.target, walks.noise, pair.prior).weigh(ranked)
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""
@@ -84,4 +84,4 @@ class WalkStrategy:
         if pose.bends:
             return None  # it is part of its covariance
         walks, T = pair.base, pose.T_base_target
-        return bend_of_walk(walks.base, pair.target, T, walks.noise, walks.length, pair.prior)
+        return bend_of_walk(walks.base, pair.target, T, walks.noise, pair.prior)

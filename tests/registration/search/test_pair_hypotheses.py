@@ -29,12 +29,14 @@ T_TRUE = random_transform(np.random.default_rng(1))
 
 @pytest.fixture(scope="module")
 def base():
-    return prepared_map(some_field(3, slope=8e-6, bend=8e-6), box(np.random.default_rng(0), 150), spacing=0.08)
+    return prepared_map(
+        some_field(3, slope=8e-6, bend=8e-6), box(np.random.default_rng(0), 150), spacing=0.08, length=LENGTH
+    )
 
 
 @pytest.fixture(scope="module")
 def table(base):
-    return tabulate_pairs(base, LENGTH, 0.3e-6)
+    return tabulate_pairs(base, 0.3e-6)
 
 
 @pytest.fixture(scope="module")

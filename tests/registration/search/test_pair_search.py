@@ -140,7 +140,7 @@ def test_the_stated_covariance_matches_the_errors(rooms, index):
     nees = []
     for _ in range(40):
         walk = replace(clean, field=values.field + (L @ rng.standard_normal(len(C))).reshape(-1, 3))
-        best = weigh_walk(index.base, walk, [truth], noise, index.length, PosePrior(1.0))[0]
+        best = weigh_walk(index.base, walk, [truth], noise, PosePrior(1.0))[0]
         # Perturbation about the centre: turn, then shift of the centre.
         difference = best.T_base_target.inv() * truth
         shift = difference.apply(best.center) - best.center

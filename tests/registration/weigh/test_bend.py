@@ -26,7 +26,7 @@ PATH = np.column_stack([0.15 * WALKED, 0.5 * np.sin(WALKED), 0.2 * np.cos(WALKED
 
 
 def some_map(seed, positions):
-    return prepared_map(some_field(seed), np.concatenate([positions + d for d in 0.2 * np.eye(3)]))
+    return prepared_map(some_field(seed), np.concatenate([positions + d for d in 0.2 * np.eye(3)]), length=0.8)
 
 
 def walk_through(base, T_base_walk, positions=PATH):
@@ -44,7 +44,7 @@ def bent(walk, xi, center):
 
 
 def found(base, walk, T):
-    return bend_of_walk(base, walk, T, NOISE, 0.8, PosePrior(100.0))
+    return bend_of_walk(base, walk, T, NOISE, PosePrior(100.0))
 
 
 @pytest.fixture(scope="module")

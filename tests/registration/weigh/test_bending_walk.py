@@ -35,7 +35,7 @@ def weigher(index, target):
     """The weighing of a walk in a base, and their pair."""
     walks, pair = index.walks, WalkStrategy(target, target, CONFIG, 0).pair(index)
     assert not walks.noise.is_learned  # each place was passed once
-    return pair, BendingWalk.of(walks.base, pair.target, walks.noise, walks.length, pair.prior)
+    return pair, BendingWalk.of(walks.base, pair.target, walks.noise, pair.prior)
 
 
 @pytest.mark.slow
@@ -114,8 +114,8 @@ def walked_again():
     walks, pair = index.walks, WalkStrategy(blind.target, blind.target, CONFIG, 0).pair(index)
     noise = replace(walks.noise, n_stretches=9)  # three, in so short a corridor
     truth = pair.T_base_model.inv() * blind.T_base_target * pair.T_target_model
-    rigid = weigh_walk(walks.base, pair.target, [truth], noise, walks.length, pair.prior)
-    return truth, rigid, BendingWalk.of(walks.base, pair.target, noise, walks.length, pair.prior)
+    rigid = weigh_walk(walks.base, pair.target, [truth], noise, pair.prior)
+    return truth, rigid, BendingWalk.of(walks.base, pair.target, noise, pair.prior)
 
 
 def test_a_walk_may_drift_more_than_the_bases_own_stretches_do(walked_again):
@@ -143,7 +143,7 @@ def test_the_bases_own_stretches_stand_for_all_drifts_up_to_theirs(walked_again)
 def test_what_is_tried_drifts_more_than_the_base_and_the_rest_is_its_own(walked_again, drift_rate):
     _, rigid, bending = walked_again
     noise = replace(bending.null.noise, drift_sd=drift_rate, drift_length=1.0)
-    other = BendingWalk.of(bending.base, bending.walk, noise, bending.length, bending.prior)
+    other = BendingWalk.of(bending.base, bending.walk, noise, bending.prior)
     tried = {one.model for one in other.weigh(rigid) if one.bends}
     assert tried == {drift.model for drifts in other.drifts for drift in drifts}
     assert 0 <= other.share <= 0.8

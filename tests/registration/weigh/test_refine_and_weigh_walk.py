@@ -38,7 +38,7 @@ def some_path(n=24):
 @pytest.fixture(scope="module")
 def base():
     x = some_path(200)
-    return prepared_map(FIELD, x, sd=SD, noise_sd=0.2e-6, spacing=0.05)
+    return prepared_map(FIELD, x, sd=SD, noise_sd=0.2e-6, spacing=0.05, length=LENGTH)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def walk():
 
 
 def weighed(base, walk, T=HERE, noise=NOISE, prior=PRIOR):
-    return weigh_walk(base, walk, [T], noise, LENGTH, prior)[0]
+    return weigh_walk(base, walk, [T], noise, prior)[0]
 
 
 def weighed_free(base, walk):
@@ -151,7 +151,9 @@ def test_evidence_does_not_change_with_the_unit_of_the_field(base, walk):
     field = replace(FIELD, constant=unit * FIELD.constant, linear=unit * FIELD.linear, second=unit * FIELD.second)
     names = ("misfit_sd", "nugget_sd", "constant_sd")
     noise = replace(NOISE, **{name: unit * getattr(NOISE, name) for name in names})
-    there = prepared_map(field, base.samples, sd=unit * SD, noise_sd=unit * base.noise_sd, spacing=0.05)
+    there = prepared_map(
+        field, base.samples, sd=unit * SD, noise_sd=unit * base.noise_sd, spacing=0.05, length=LENGTH
+    )
     found = weighed(there, replace(walk, field=unit * walk.field), noise=noise)
     here = weighed(base, walk)
     for name in ("log_evidence", "attainable"):
@@ -174,7 +176,7 @@ def test_evidence_is_averaged_over_the_covariances_factor(base, walk, size):
     walk, nothing = replace(walk, field=field + size * (walk.field - field)), Mock(log_likelihood=lambda _: 0.0)
 
     def evidence(noise):
-        return weigh_walk(base, walk, [HERE], noise, LENGTH, PRIOR, null=nothing)[0].log_evidence
+        return weigh_walk(base, walk, [HERE], noise, PRIOR, null=nothing)[0].log_evidence
 
     log_factors, log_weights = (x[::5] for x in NOISE.log_factors())
     at_each = [evidence(noise_times(NOISE, np.exp(one))) for one in log_factors]

@@ -44,11 +44,15 @@ class WalkIndex:
     """A base map made ready for walks."""
 
     base: PreparedMap
-    length: float  # m: the base's correlation length
     # What residuals of another walk look like, for registrations and for localisation
     noise: PathNoise
     live_noise: PathNoise
     table: PairTable
+
+    @property
+    def length(self) -> float:
+        """The base's correlation length, m."""
+        return self.base.correlation_length
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -187,7 +191,7 @@ class IndexFile:
         index = MapIndex(base)
         walks = parts.pop("walks")
         if walks is not None:
-            index._walks.append(WalkIndex(base, self.table.length, walks["noise"], walks["live_noise"], self.table))
+            index._walks.append(WalkIndex(base, walks["noise"], walks["live_noise"], self.table))
         index._rasters.update(parts.pop("rasters"))
         index._parts.update(parts)
         return index
@@ -216,9 +220,8 @@ def prepare_index(base: FieldMap | MapIndex) -> MapIndex:
 
 def index_walks(base: PreparedMap, rng: np.random.Generator) -> WalkIndex:
     """Learn the residuals' covariance and list the base's pairs of points, once for all walks."""
-    length = base.correlation_length
-    noise, live_noise = learn_path_noise(base.field_map, length, rng)
-    return WalkIndex(base, length, noise, live_noise, tabulate_pairs(base, length, noise.total_sd))
+    noise, live_noise = learn_path_noise(base.field_map, base.correlation_length, rng)
+    return WalkIndex(base, noise, live_noise, tabulate_pairs(base, noise.total_sd))
 
 
 def _base_rng() -> np.random.Generator:

@@ -52,8 +52,9 @@ class PairTable:
         return self.tree.query(whitened, min(k, len(self.first)), n_leaves)
 
 
-def tabulate_pairs(base: PreparedMap, length: float, noise_sd: float) -> PairTable:
+def tabulate_pairs(base: PreparedMap, noise_sd: float) -> PairTable:
     """List the base's pairs of points; one table serves any number of walks."""
+    length = base.correlation_length
     is_known = base.raster.lookup(base.points)[3]
     x, b, G = base.points[is_known], base.point_field[is_known], base.point_gradient[is_known]
     rows, pairs = _pairs(x, length)

@@ -133,7 +133,6 @@ def bend_of_walk(
     walk: Walk,
     T_base_walk: RigidTransform,
     noise: PathNoise,
-    length: float,
     prior: PosePrior,
 ) -> Bend | None:
     """Refine the halves of the covered part from the pose of the whole; None if either has too few bins."""
@@ -141,7 +140,7 @@ def bend_of_walk(
     halves = [
         Half(rows, best.T_base_target, best.center, best.covariance)
         for rows in np.array_split(np.flatnonzero(is_covered), 2)
-        for best in weigh_walk(base, walk.part(rows), [T_base_walk], noise, length, prior)[:1]
+        for best in weigh_walk(base, walk.part(rows), [T_base_walk], noise, prior)[:1]
     ]
     return bend_between(T_base_walk, walk.positions, is_covered, halves)
 

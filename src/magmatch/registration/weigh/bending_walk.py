@@ -79,7 +79,6 @@ class BendingWalk:
 
     base: PreparedMap
     walk: Walk
-    length: float  # m: the base's correlation length
     prior: PosePrior
     null: UnrelatedWalk  # its noise says how all residuals may be larger or smaller than stated
     turned_null: UnrelatedWalk  # the same, with the walk's turns: more work, so of final poses alone
@@ -87,7 +86,7 @@ class BendingWalk:
     share: float  # prior probability of these; the drift of the base's own stretches has the rest
 
     @classmethod
-    def of(cls, base: PreparedMap, walk: Walk, noise: PathNoise, length: float, prior: PosePrior) -> "BendingWalk":
+    def of(cls, base: PreparedMap, walk: Walk, noise: PathNoise, prior: PosePrior) -> "BendingWalk":
         """State how the walk may bend beyond what the base's own stretches show, and its null models."""
         bendings = [bending_of(walk.positions, turns) for turns in TURNS]
         drifts = [[WalkDrift(rate, one) for rate in reversed(one.turns.rates)] for one in bendings]
@@ -96,12 +95,12 @@ class BendingWalk:
             own = max(noise.drift_rate, RATES[0])
             drifts = [[one for one in some if one.rate > own] for some in drifts]
         else:
-            noise = noise_of_bins(base.noise_sd, length)
-        null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, length)
+            noise = noise_of_bins(base.noise_sd, base.correlation_length)
+        null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, base.correlation_length)
         turned = [one.rate**2 * one.bending.turned(walk.field) for some in drifts for one in some[::-1]]
         with_turns = replace(null, turned=np.stack(turned)) if turned else null
         kept, share = tuple(tuple(some) for some in drifts), len(turned) / n_drifts
-        return cls(base, walk, length, prior, null, with_turns, kept, share)
+        return cls(base, walk, prior, null, with_turns, kept, share)
 
     def weigh(self, likely: Sequence[LineEvidence]) -> list[LineEvidence]:
         """Weigh poses at each drift, beside those at the drift of the base's own stretches; best first."""
@@ -125,7 +124,7 @@ class BendingWalk:
         middle = self.drifts[0][(len(self.drifts[0]) - 1) // 2]
         coarse = distinct(
             in_order(self._fit(T, middle, self._map_errors(T), COARSE_STEPS) for T in starts),
-            pose_inaccuracy(self.length)[::-1],
+            pose_inaccuracy(self.base.correlation_length)[::-1],
         )
         some = [one for one in coarse[:N_REFINED] if one.log_evidence > coarse[0].log_evidence - CLEAR]
         fine: list[LineEvidence | None] = []
@@ -184,11 +183,11 @@ class BendingWalk:
         most_likely = moved @ solve_triangular(factor, white, lower=True, trans=1, check_finite=False)
         r, J = white[:, 0], white[:, 1:]
         prior, slope, prior_chi2 = (x[0] for x in self.prior.rows_of_many(R[None], p[None], self._center))
-        longest = np.repeat(pose_inaccuracy(self.length), 3)
+        longest = np.repeat(pose_inaccuracy(self.base.correlation_length), 3)
         told = J.T @ J + np.diag((FREE_SDS * longest) ** -2)
         occam = (
             float(self.prior.log_densities(prior[None], np.array([prior_chi2]))[0])
-            + float(path_weight(self.walk.length / self.length, known.mean()))
+            + float(path_weight(self.walk.length / self.base.correlation_length, known.mean()))
             - float(np.log(np.diag(factor)).sum())
             - self.null.log_likelihood(known)
         )

@@ -70,14 +70,13 @@ def weigh_walk(
     walk: Walk,
     starts: Sequence[RigidTransform],
     noise: PathNoise,
-    length: float,
     prior: PosePrior,
     bending: np.ndarray | None = None,
     null: UnrelatedWalk | None = None,
 ) -> list[LineEvidence]:
     """Refine poses of a walk, from starts between its frame and the base's, and order them by evidence, best first.
 
-    ``length``: the base's correlation length, m. ``bending`` (n, 6, m): how m independent errors of unit variance
+    ``bending`` (n, 6, m): how m independent errors of unit variance
     turn (rad) and shift (m) each bin of a walk whose shape is known by dead reckoning alone, about its own place,
     walk's axes; takes the place of the noise's drift. ``null``: the walk's null model, if it is known; else any mean
     of its field is as likely.
@@ -85,8 +84,8 @@ def weigh_walk(
     if not starts or len(walk) < MIN_BINS:
         return []
     distance = cdist(walk.positions, walk.positions)
-    squares = _LeastSquares(base, walk, distance, noise, length, prior, walk.positions.mean(axis=0), bending)
-    null = null or UnrelatedWalk(walk, distance, noise, length)
+    squares = _LeastSquares(base, walk, distance, noise, prior, walk.positions.mean(axis=0), bending)
+    null = null or UnrelatedWalk(walk, distance, noise, base.correlation_length)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))
@@ -102,9 +101,9 @@ def weigh_walk(
     return sorted(weighed, key=lambda e: -e.log_evidence)
 
 
-def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk, length: float) -> PosePrior:
+def inside_base(prior: PosePrior, base: PreparedMap, walk: Walk) -> PosePrior:
     """Spread a prior over poses that put a walk inside a base, as they are weighed."""
-    path = walk.length / length
+    path = walk.length / base.correlation_length
     return spread_inside(prior, base.raster, walk.positions, lambda share: path_weight(path, share))
 
 
@@ -140,7 +139,6 @@ class _LeastSquares:
     walk: Walk
     distance: Matrix
     noise: PathNoise
-    length: float
     prior: PosePrior
     center: Vector3
     bending: np.ndarray | None = None
@@ -235,7 +233,7 @@ class _LeastSquares:
     @property
     def longest(self) -> np.ndarray:
         """Longest step, (6,): as far as a start may be off."""
-        return np.repeat(pose_inaccuracy(self.length), 3)
+        return np.repeat(pose_inaccuracy(self.base.correlation_length), 3)
 
 
 def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[LineEvidence]:
@@ -243,7 +241,7 @@ def _weigh(fits: _Fits, squares: _LeastSquares, null: UnrelatedWalk) -> list[Lin
     if not len(fits.chi2):
         return []
     n_known = fits.known.sum(axis=1)
-    n_free, path = 3 * n_known - 6, squares.walk.length / squares.length
+    n_free, path = 3 * n_known - 6, squares.walk.length / squares.base.correlation_length
     inflation, log_likelihood = squares.noise.factor(fits.chi2, n_free)
     # A walk that fits better than a guess expects may still share its frame's errors.
     least = 0.0 if squares.noise.is_learned else 1.0

@@ -83,7 +83,7 @@ class Anywhere:
     def prior(self, window: Window, base: Submap) -> PosePrior:
         """Poses that put the window inside the base are alike probable."""
         prior, index = _prior(window, base, self.volume), base.index
-        return inside_base(prior, index.base, window.walk, index.length)
+        return inside_base(prior, index.base, window.walk)
 
     def log_densities(self, window: Window, _: RigidTransform, prior: PosePrior) -> tuple[float, float]:
         """Log density, which is the same everywhere."""
@@ -172,7 +172,7 @@ def matches(
     if not starts:
         return []
     null = _unrelated(window, index.noise, is_predicted=prior.T_base_target is not None)
-    weighed = weigh_walk(index.base, walk, starts, index.noise, index.length, prior, window.bending, null)
+    weighed = weigh_walk(index.base, walk, starts, index.noise, prior, window.bending, null)
     M = adjoint(window.T_middle_node.inv())
     # Gravity and the floor hold each window by itself.
     predicted = replace(prior, up_base=None, up_target=None, height=None)

@@ -76,8 +76,8 @@ def make_submap(
     prepared = replace(
         prepared, field_map=replace(field_map, posterior=mean), posterior=mean, correlation_length=length, draws=list
     )
-    table = tabulate_pairs(prepared, length, noise.total_sd) if is_searched else PairTable.empty(length)
-    return Submap(survey, node, WalkIndex(prepared, length, noise, noise, table))
+    table = tabulate_pairs(prepared, noise.total_sd) if is_searched else PairTable.empty(length)
+    return Submap(survey, node, WalkIndex(prepared, noise, noise, table))
 
 
 def table_of(submap: Submap) -> PairTable:
