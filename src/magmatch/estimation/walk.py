@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.compiled import compiled_ahead
@@ -13,7 +14,7 @@ from magmatch.data.survey import Survey
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE
 from magmatch.estimation.cubes import even_choice
 from magmatch.estimation.limits import COARSER, FEW_POINTS, MAX_WEIGHED
-from magmatch.typing import Indices, Points, Vectors
+from magmatch.typing import Indices, Matrix, Points, Vectors
 
 # Length of a bin, in the base's correlation length: short against the field's changes, long against noise.
 BIN_LENGTH = 0.15
@@ -45,6 +46,11 @@ class Walk:
     def length(self) -> float:
         """Path in all bins, m."""
         return self.bin_length * len(self)
+
+    @property
+    def distance(self) -> Matrix:
+        """Distances between the bins: (n, n), m."""
+        return np.asarray(cdist(self.positions, self.positions))
 
     def part(self, rows: Indices) -> "Walk":
         """A subset of the bins."""

@@ -29,7 +29,6 @@ class UnrelatedWalk:
     """
 
     walk: Walk
-    distance: Matrix  # (n, n), m: between its bins
     noise: PathNoise
     length: float  # m: correlation length
     # (vector, float): mean of the field wherever the walk may be (T), walk's axes, and variance of a component about
@@ -56,7 +55,7 @@ class UnrelatedWalk:
         spread2 = float(field.var(axis=0).mean()) + self.noise.nugget_sd**2
         square = float((field**2).sum(axis=1).mean()) / 3
         mean, constant = self.around or (np.zeros(3), square)
-        distance = self.distance[np.ix_(rows, rows)]
+        distance = self.walk.distance[np.ix_(rows, rows)]
         errors = self.noise.isotropic(distance, np.zeros(len(rows))) + constant
         errors += 2 * square * self.noise.attitude_sd**2 * np.exp(-distance / self.noise.drift_length)
 

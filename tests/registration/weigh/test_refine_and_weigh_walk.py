@@ -79,7 +79,7 @@ def test_evidence_is_that_of_dense_normal_densities_and_laplaces_approximation(b
     r = (walk.field - seen.field).ravel()
     chi2 = r @ np.linalg.solve(C, r)
     factor, log_likelihood = NOISE.factor(chi2, 3 * n - 6)
-    null = UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
+    null = UnrelatedWalk(walk, NOISE, LENGTH).log_likelihood(np.ones(n, dtype=bool))
     price = 0.5 * np.linalg.slogdet(2 * np.pi * found.covariance / factor)[1] - np.log(20.0 * 8 * np.pi**2)
     expected = log_likelihood - 0.5 * np.linalg.slogdet(C)[1] - null + price
     # The last steps see the map's gradient through its raster's cells no more; its field they see exactly.
@@ -243,7 +243,7 @@ def test_a_prior_holds_a_walk_and_pays_for_its_search(base, walk):
 @pytest.mark.parametrize("around", [None, (np.array([18e-6, 3e-6, -45e-6]), 1e-11)])
 def test_an_unrelated_walk_is_a_smooth_field_averaged_over_its_numbers(walk, around):
     d = cdist(walk.positions, walk.positions)
-    null = UnrelatedWalk(walk, d, NOISE, LENGTH, around)
+    null = UnrelatedWalk(walk, NOISE, LENGTH, around)
     spread2 = walk.field.var(axis=0).mean() + NOISE.nugget_sd**2
     mean, constant = around or (np.zeros(3), (walk.field**2).mean())
     square = (walk.field**2).mean()
@@ -282,7 +282,7 @@ def test_a_rough_walk_is_no_evidence_for_a_place_where_nothing_varies():
         z = times * np.random.default_rng(seed).standard_normal((len(x), 3))
         walk = Walk(HERE, x, earth + L @ z)
         posed = NOISE.factor((z**2).sum(), 3 * len(x))[1] - 3 * np.log(np.diag(L)).sum()
-        null = UnrelatedWalk(walk, d, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
+        null = UnrelatedWalk(walk, NOISE, LENGTH).log_likelihood(np.ones(len(x), dtype=bool))
         # That both fields agree in the mean is evidence, of some nats a component.
         assert posed - null < 25
 
@@ -291,14 +291,14 @@ def test_a_walk_that_turns_by_itself_is_no_evidence_for_a_place_where_nothing_va
     """What its orientations do to the field, they do in any place."""
     t, earth = np.linspace(0, 12, 60)[:, None], np.array([18e-6, 3e-6, -45e-6])
     x, rate = t * [1.0, 0, 0], 0.1
-    d, turned = cdist(x, x), rate**2 * bending_of(x, TURNS[1]).turned(np.tile(earth, (60, 1)))
+    turned = rate**2 * bending_of(x, TURNS[1]).turned(np.tile(earth, (60, 1)))
     C = turned.reshape(180, 180) + NOISE.nugget_sd**2 * np.eye(180)
     L, noise = np.linalg.cholesky(C), replace(NOISE, misfit_sd=0.0, constant_sd=0.0, attitude_sd=0.0)
     without, with_turns = [], []
     for seed in range(5):
         z = np.random.default_rng(seed).standard_normal(180)
         walk = Walk(HERE, x, earth + (L @ z).reshape(60, 3))
-        null = UnrelatedWalk(walk, d, noise, LENGTH)
+        null = UnrelatedWalk(walk, noise, LENGTH)
         posed = noise.factor(z @ z, 180)[1] - np.log(np.diag(L)).sum()
         everywhere = np.ones(60, dtype=bool)
         without.append(posed - null.log_likelihood(everywhere))
@@ -313,8 +313,7 @@ def test_bins_that_a_pose_leaves_out_say_nothing_of_the_others(walk, around):
     """A calm part that lies beside a rough one is weighed as a walk that is calm."""
     calm = np.arange(len(walk)) < 12
     field = walk.field + 2e-5 * np.random.default_rng(0).standard_normal(walk.field.shape) * ~calm[:, None]
-    d = cdist(walk.positions, walk.positions)
     part = walk.part(np.flatnonzero(calm))
-    alone = UnrelatedWalk(part, d[:12, :12], NOISE, LENGTH, around).log_likelihood(np.ones(12, dtype=bool))
-    found = UnrelatedWalk(replace(walk, field=field), d, NOISE, LENGTH, around).log_likelihood(calm)
+    alone = UnrelatedWalk(part, NOISE, LENGTH, around).log_likelihood(np.ones(12, dtype=bool))
+    found = UnrelatedWalk(replace(walk, field=field), NOISE, LENGTH, around).log_likelihood(calm)
     assert found == pytest.approx(alone, rel=1e-12)

@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.estimation.candidate_poses import pose_inaccuracy
@@ -96,7 +95,7 @@ class BendingWalk:
             drifts = [[one for one in some if one.rate > own] for some in drifts]
         else:
             noise = noise_of_bins(base.noise_sd, base.correlation_length)
-        null = UnrelatedWalk(walk, cdist(walk.positions, walk.positions), noise, base.correlation_length)
+        null = UnrelatedWalk(walk, noise, base.correlation_length)
         turned = [one.rate**2 * one.bending.turned(walk.field) for some in drifts for one in some[::-1]]
         with_turns = replace(null, turned=np.stack(turned)) if turned else null
         kept, share = tuple(tuple(some) for some in drifts), len(turned) / n_drifts
@@ -243,7 +242,7 @@ class BendingWalk:
         """The residuals' covariance without bending, of known bins, walk's axes: (3 k, 3 k)."""
         noise = self.null.noise
         if noise.is_learned:
-            return noise.full(self.null.distance[np.ix_(known, known)], sd, slopes[:, :, 3:], self.walk.field[known])
+            return noise.full(self.walk.distance[np.ix_(known, known)], sd, slopes[:, :, 3:], self.walk.field[known])
         C = np.einsum("ai,namb,bj->nimj", R, errors[known][:, :, known], R, optimize=True)
         nugget = noise.nugget_sd**2 * np.eye(3 * known.sum())
         return np.asarray(C.reshape(nugget.shape) + nugget)

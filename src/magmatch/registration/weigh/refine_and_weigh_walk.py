@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.estimation.candidate_poses import OUTLIER_SHARE, pose_inaccuracy
@@ -83,9 +82,8 @@ def weigh_walk(
     """
     if not starts or len(walk) < MIN_BINS:
         return []
-    distance = cdist(walk.positions, walk.positions)
-    squares = _LeastSquares(base, walk, distance, noise, prior, walk.positions.mean(axis=0), bending)
-    null = null or UnrelatedWalk(walk, distance, noise, base.correlation_length)
+    squares = _LeastSquares(base, walk, noise, prior, walk.positions.mean(axis=0), bending)
+    null = null or UnrelatedWalk(walk, noise, base.correlation_length)
     R = np.stack([rotation_matrix(T) for T in starts])
     p = np.stack([T.apply(squares.center) for T in starts])
     coarse = _covered(squares.run(R, p, np.ones((len(R), len(walk))), COARSE_STEPS, is_full=False))
@@ -137,7 +135,6 @@ class _LeastSquares:
 
     base: PreparedMap
     walk: Walk
-    distance: Matrix
     noise: PathNoise
     prior: PosePrior
     center: Vector3
@@ -219,16 +216,16 @@ class _LeastSquares:
         else:
             moves2 = (self.noise.drift_sd**2 / 3) * (G**2).sum(axis=(1, 2, 3)) / np.maximum(known.sum(axis=1), 1)
             moves2 = moves2 + self.noise.attitude_sd**2 * float((self.walk.field**2).sum(axis=1).mean()) * 2 / 3
-            C = moves2[:, None, None] * np.exp(-self.distance / self.noise.drift_length)
-        return np.asarray(C + self.noise.isotropic(self.distance, sd))
+            C = moves2[:, None, None] * np.exp(-self.walk.distance / self.noise.drift_length)
+        return np.asarray(C + self.noise.isotropic(self.walk.distance, sd))
 
     def _full_covariance(self, G: Tensors, moved: np.ndarray | None, sd: Matrix, known: Matrix) -> Matrix:
         """Components coupled by frames that drift and turn, (h, 3 n, 3 n)."""
         if moved is None:
             field = np.broadcast_to(self.walk.field, (*known.shape, 3))
-            return self.noise.full(self.distance, sd, G, field)
+            return self.noise.full(self.walk.distance, sd, G, field)
         moved = moved.reshape(len(moved), -1, moved.shape[-1])
-        return self.noise.with_isotropic(moved @ np.swapaxes(moved, 1, 2), self.distance, sd)
+        return self.noise.with_isotropic(moved @ np.swapaxes(moved, 1, 2), self.walk.distance, sd)
 
     @property
     def longest(self) -> np.ndarray:

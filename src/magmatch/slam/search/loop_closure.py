@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial.distance import cdist
 from scipy.spatial.transform import RigidTransform
 
 from magmatch.estimation.candidate_poses import pose_inaccuracy
@@ -242,8 +241,7 @@ def log_density(off: RigidTransform, covariance: np.ndarray, drifts: Indices) ->
 @lru_cache(maxsize=1)
 def _unrelated(window: Window, noise: PathNoise, *, is_predicted: bool) -> UnrelatedWalk:
     """The null model of a window: kept while one submap after the other is compared with it."""
-    x, around = window.walk.positions, window.around if is_predicted else None
-    return UnrelatedWalk(window.walk, cdist(x, x), noise, window.length, around)
+    return UnrelatedWalk(window.walk, noise, window.length, window.around if is_predicted else None)
 
 
 def _is_expected(T: RigidTransform, window: Window, prior: PosePrior) -> bool:
