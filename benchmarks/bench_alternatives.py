@@ -72,10 +72,10 @@ def cholesky(side: float) -> None:
     x = rng.uniform(0, 1, (20_000, 3)) * [side, side, 0.4]
     h = Hyperparameters(0.4, 1e-5, 1e-6, 0.15, 100.0)
     cells = lay_cells(x, h.spacing, 1.5)
-    model = SplineModel(h, cells, order_elimination(cells))
+    model = SplineModel(h, order_elimination(cells))
     information = model.observe(x, 1e-5 * rng.normal(size=x.shape))
     A, m = information.gram + model.prior_precision(), cells.n_nodes
-    other = cells.node_index.ravel()[cells.flat_nodes()[:, None] + cells.stencil_shifts()[HALF_STENCIL - 1 :]]
+    other = cells.node_index.ravel()[cells.flat_nodes[:, None] + cells.shifts[HALF_STENCIL - 1 :]]
     row, slot = np.nonzero(other >= 0)
     column, values = other[row, slot], A.stencil[row, slot]
     off = row != column

@@ -7,9 +7,10 @@
 from functools import reduce
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.typing import Covariance6, Matrix, Points, Scalars, Tensors, ThirdOrder, Vector3, Vectors
+from magmatch.typing import Covariance6, Mask, Matrix, Points, Scalars, Tensors, ThirdOrder, Vector3, Vectors
 
 # Relative error that products of small matrices accumulate: less is none but rounding.
 ROUNDING = 1e-12
@@ -23,6 +24,8 @@ LINEAR_TURN = 0.3
 # Steps that are looked at together; of every eighth of their samples jitter leaves an eighth of its path, steps at
 # random a third, and a path all of it.
 STOOD, EIGHTH, STANDS = 128, 8, 0.2
+# Pairs of a point and a facet of a hull that are looked at together: bounds memory.
+FACETS_AT_ONCE = 2_000_000
 # Unit vectors every way along the axes; and to corners, edges and faces of a cube.
 OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
 DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
@@ -200,6 +203,12 @@ def path_walked(positions: Points) -> Scalars:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
 
 
+def typical_step(steps: Scalars) -> float:
+    """Median of the steps (m) between consecutive samples: further readings at one place are none."""
+    walked = steps[steps > 0]
+    return float(np.median(walked)) if len(walked) else 0.0
+
+
 def path_moved(positions: Points) -> Scalars:
     """Give the length of the path, without what jitter adds where somebody stands: (n,), m."""
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
@@ -209,6 +218,24 @@ def path_moved(positions: Points) -> Scalars:
         if path_walked(some[::EIGHTH])[-1] <= STANDS * path_walked(some)[-1]:
             steps[first : first + STOOD] = 0.0
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def in_hull(points: Matrix, samples: Matrix) -> Mask:
+    """Whether points (n, d) lie within the convex hull of samples (m, d), d 2 or 3, to rounding.
+
+    None do where the samples have no hull: on a line, in three dimensions on a plane.
+    """
+    try:
+        facets = ConvexHull(samples).equations
+    except QhullError:
+        return np.zeros(len(points), dtype=np.bool_)
+    slack = 1e-9 * float(np.ptp(samples, axis=0).max())
+    inside = np.ones(len(points), dtype=np.bool_)
+    step = FACETS_AT_ONCE // len(facets) + 1
+    for start in range(0, len(points), step):
+        part = slice(start, start + step)
+        inside[part] = np.all(points[part] @ facets[:, :-1].T + facets[:, -1] <= slack, axis=1)
+    return inside
 
 
 def principal_frame(positions: Points, lean: Vector3) -> RigidTransform:

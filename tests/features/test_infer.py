@@ -6,8 +6,8 @@ import pytest
 
 from magmatch.errors import ConfigurationError
 from magmatch.features.config import FeatureConfig
-from magmatch.features.infer import in_hull, infer
-from magmatch.geometry import random_transform
+from magmatch.features.infer import infer
+from magmatch.geometry import in_hull, random_transform
 
 
 def circle(n=300):

@@ -10,8 +10,7 @@ def to_dense(matrix, cells):
     """Dense form of a `StencilMatrix`, (m + 3, m + 3)."""
     m = cells.n_nodes
     dense = np.zeros((m + 3, m + 3))
-    shifts = cells.stencil_shifts()[HALF_STENCIL - 1 :]
-    other = cells.node_index.ravel()[cells.flat_nodes()[:, None] + shifts]
+    other = cells.node_index.ravel()[cells.flat_nodes[:, None] + cells.shifts[HALF_STENCIL - 1 :]]
     row, slot = np.nonzero(other >= 0)
     dense[row, other[row, slot]] = dense[other[row, slot], row] = matrix.stencil[row, slot]
     dense[:m, m:], dense[m:, :m], dense[m:, m:] = matrix.border, matrix.border.T, matrix.corner

@@ -16,7 +16,7 @@ from magmatch.data.survey import Survey, has_order
 from magmatch.data.survey_columns import GLOBAL_FRAME, origin_of
 from magmatch.data.units import TESLA_PER_UNIT, UNITS_PER_SECOND, LengthUnit, TimeUnit, field_text, likely_field_unit
 from magmatch.errors import SurveyError, in_short
-from magmatch.geometry import path_walked
+from magmatch.geometry import path_walked, typical_step
 from magmatch.number_text import many, told
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
@@ -248,7 +248,7 @@ def _are_long_steps(survey: Survey) -> Mask:
     steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
     if survey.times is None or not steps.any():
         return np.zeros(len(steps), dtype=np.bool_)
-    return np.asarray(steps > JUMP * np.median(steps[steps > 0]))
+    return np.asarray(steps > JUMP * typical_step(steps))
 
 
 def _doubt_jumps(survey: Survey) -> Iterator[str]:

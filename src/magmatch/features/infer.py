@@ -4,7 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.errors import ConfigurationError
@@ -12,17 +12,17 @@ from magmatch.features.config import FeatureConfig
 from magmatch.field.cholesky.cells import ball_offsets
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
-from magmatch.geometry import rotation_matrix, transform_points
+from magmatch.geometry import in_hull, rotation_matrix, transform_points
 from magmatch.grid import RegularGrid
 from magmatch.progress import tell
-from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
+from magmatch.typing import Indices, Points, Scalars, Vectors
 
 # Where less of the samples' hull than this lies near a sample, the survey is a path, not a region.
 REGION_SHARE = 0.5
 # A survey whose thickness is below this share of its breadth is flat: its normal is known better than any axis that
 # its frame happens to have, so one axis of the grid follows it.
 FLAT = 0.2
-# Cells spread around the path at once, and products of points and facets of the hull: bounds memory.
+# Cells spread around the path at once: bounds memory.
 _CELLS_AT_ONCE = 2_000_000
 
 
@@ -183,22 +183,7 @@ def _cells_in_hull(grid: RegularGrid, samples: Points) -> Indices:
     points = grid.local_points()[:, is_wide]
     if is_wide.sum() < 2:
         return np.arange(len(points), dtype=np.int64)
-    try:
-        return np.flatnonzero(in_hull(points, local)).astype(np.int64)
-    except QhullError:  # samples on a line have no hull
-        return np.zeros(0, dtype=np.int64)
-
-
-def in_hull(points: Matrix, samples: Matrix) -> Mask:
-    """Whether points (n, d) lie within the convex hull of samples (m, d), d 2 or 3, to rounding."""
-    facets = ConvexHull(samples).equations
-    slack = 1e-9 * float(np.ptp(samples, axis=0).max())
-    inside = np.ones(len(points), dtype=np.bool_)
-    step = _CELLS_AT_ONCE // len(facets) + 1
-    for start in range(0, len(points), step):
-        part = slice(start, start + step)
-        inside[part] = np.all(points[part] @ facets[:, :-1].T + facets[:, -1] <= slack, axis=1)
-    return inside
+    return np.flatnonzero(in_hull(points, local)).astype(np.int64)
 
 
 def _cells_near(samples: Points, grid: RegularGrid, radius: float) -> Indices:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.typing import Indices, Mask, Points, Scalars
+from magmatch.geometry import typical_step
+from magmatch.typing import Indices, Mask, Points
 
 # Size of a stretch: in lengthscales, at most this share of the extent.
 STRETCH_IN_LENGTHSCALES, STRETCH_IN_EXTENTS = 4.0, 0.25
@@ -64,12 +65,6 @@ def has_path_order(points: Points) -> bool:
     places = points[np.append(True, steps > 0)]
     spread = np.median(np.linalg.norm(places - np.median(places, axis=0), axis=1))
     return bool(typical_step(steps) < 0.15 * spread)
-
-
-def typical_step(steps: Scalars) -> float:
-    """Median of the steps between samples: further readings at one place are none."""
-    walked = steps[steps > 0]
-    return float(np.median(walked)) if len(walked) else 0.0
 
 
 def path_segments(points: Points, length: float) -> Indices:

@@ -42,5 +42,5 @@ def test_cells_are_those_within_reach_and_nodes_those_that_touch_them(seed, reac
     np.testing.assert_array_equal(found.nodes[found.cell_nodes], found.cells[:, None] + LOCAL)
     np.testing.assert_array_equal(found.cell_index[tuple(found.cells.T)], np.arange(found.n_cells))
     assert (found.cell_index >= 0).sum() == found.n_cells
-    np.testing.assert_array_equal(found.node_index.ravel()[found.flat_nodes()], np.arange(found.n_nodes))
+    np.testing.assert_array_equal(found.node_index.ravel()[found.flat_nodes], np.arange(found.n_nodes))
     assert (found.node_index >= 0).sum() == found.n_nodes

@@ -84,7 +84,7 @@ def test_weights_scale_each_sample_as_repetition_does(fitted):
 
 def test_inflation_scales_covariance_and_draws_but_not_the_mean(fitted):
     model, posterior, x, b = fitted
-    wide = SplineModel(replace(H, inflation=2.0), model.cells, model.elimination)
+    wide = SplineModel(replace(H, inflation=2.0), model.elimination)
     other = wide.infer(wide.observe(x, b))
     assert np.array_equal(other.weights, posterior.weights)
     np.testing.assert_allclose(other.covariance(x[:5]), 4 * posterior.covariance(x[:5]), rtol=1e-12)

@@ -44,6 +44,8 @@ class CellGrid:
     node_index: np.ndarray
     nodes: np.ndarray  # (m, 3): indices of the nodes
     cell_nodes: np.ndarray  # (c, 64): nodes of each active cell
+    flat_nodes: np.ndarray  # (m,): row of each node in the flattened ``node_index``
+    shifts: np.ndarray  # (343,): from there to the rows of its neighbours
 
     @property
     def n_cells(self) -> int:
@@ -61,18 +63,6 @@ class CellGrid:
         u = lattice_coordinate(np.asarray(points, dtype=np.float64), self.spacing) - self.first
         _locate(u, self.cell_index, cell, t, np.zeros(3, dtype=np.int64))
         return cell, t
-
-    def stencil_shifts(self) -> np.ndarray:
-        """Distance in the flattened ``node_index`` to each of the 343 neighbours."""
-        _, ny, nz = self.node_index.shape
-        d = np.arange(-STENCIL_REACH, STENCIL_REACH + 1)
-        return np.asarray(spanned_points([d] * 3) @ np.array([ny * nz, nz, 1]), dtype=np.int64)
-
-    def flat_nodes(self) -> np.ndarray:
-        """Give the row of each node in the flattened ``node_index``."""
-        return np.asarray(
-            np.ravel_multi_index(tuple((self.nodes + STENCIL_REACH).T), self.node_index.shape), dtype=np.int64
-        )
 
 
 @compiled
@@ -130,8 +120,8 @@ def lay_cells(
     nodes = np.argwhere(is_node)
     node_index[is_node] = np.arange(len(nodes), dtype=np.int32)
     _, n_y, n_z = node_index.shape
-    corner, offset = ((p @ np.array([n_y * n_z, n_z, 1])) for p in (cells + STENCIL_REACH, LOCAL_NODES))
-    cell_nodes = node_index.ravel()[corner[:, None] + offset]
+    around = spanned_points([np.arange(-STENCIL_REACH, STENCIL_REACH + 1)] * 3)
+    corner, offset, shifts = (p @ np.array([n_y * n_z, n_z, 1]) for p in (cells + STENCIL_REACH, LOCAL_NODES, around))
     return CellGrid(
         first=first,
         spacing=float(spacing),
@@ -140,7 +130,9 @@ def lay_cells(
         cell_index=cell_index,
         node_index=node_index,
         nodes=nodes - STENCIL_REACH,
-        cell_nodes=cell_nodes,
+        cell_nodes=node_index.ravel()[corner[:, None] + offset],
+        flat_nodes=np.flatnonzero(is_node),
+        shifts=shifts,
     )
 
 

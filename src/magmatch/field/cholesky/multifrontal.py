@@ -23,8 +23,7 @@ from magmatch.field.cholesky.blas import (
     syrk,
     trsm,
 )
-from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
-from magmatch.field.cholesky.cells import HALF_STENCIL, CellGrid
+from magmatch.field.cholesky.cells import HALF_STENCIL
 from magmatch.field.cholesky.nested_dissection import Elimination
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
 from magmatch.threads import side_by_side, single_threaded
@@ -150,9 +149,9 @@ def _refuse(_: type[np.floating]) -> CholeskyFactor:
 TOLERANCE, MOST_CORRECTIONS, SLOWEST = 1e-11, 8, 0.2
 
 
-def refined_solve(A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid) -> Scalars | None:
+def refined_solve(A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars) -> Scalars | None:
     """Solve ``A x = rhs`` by iterative refinement (Wilkinson 1963)."""
-    x = factor.solve(rhs)
+    x, cells = factor.solve(rhs), factor.elimination.cells
     size = last = float(np.abs(x).max())
     for _ in range(MOST_CORRECTIONS):
         correction = factor.solve(rhs - A.times(x, cells))
@@ -177,7 +176,7 @@ def factorise(
     updates = [_NO_SINGLES] * len(elimination.fronts)
 
     def eliminate(fronts: range) -> None:
-        row_at = np.full(len(elimination.node_index), -1, dtype=np.int32)
+        row_at = np.full(elimination.cells.node_index.size, -1, dtype=np.int32)
         for k in fronts:
             updates[k] = _eliminate(elimination, k, matrix, row_at, updates, blocks[k])
 
@@ -191,7 +190,7 @@ def _blocks(
 ) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]:
     """Lay out a factor's pivots and what is below them, and both of a front as one: one piece of memory."""
     sizes = [(front.stop - front.start, len(front.border)) for front in elimination.fronts]
-    memory = BUFFER_POOL.take(sum(n * (n + k) for n, k in sizes), 1, precision).ravel(order="K")
+    memory = np.empty(sum(n * (n + k) for n, k in sizes), precision)
     pivots, below, blocks, start = [], [], [], 0
     for n, k in sizes:
         block = memory[start : start + n * (n + k)]
@@ -210,17 +209,16 @@ def _eliminate(
     n_below, is_leaf = len(front.border), True
     block[:] = 0
     _assemble(
-        front.unknowns, n, e.flat_nodes, e.shifts, row_at, matrix.stencil, matrix.border, matrix.corner,
+        front.unknowns, n, e.cells.flat_nodes, e.cells.shifts, row_at, matrix.stencil, matrix.border, matrix.corner,
         *in_precision(block),
     )  # fmt: skip
-    update = flat(BUFFER_POOL.take(n_below, n_below, block.dtype))
+    update = np.empty(n_below**2, block.dtype)
     for child, rows in zip(front.children, front.child_rows, strict=True):
         _extend_add(
             *in_precision(updates[child]), rows, n, n_below, *in_precision(block), *in_precision(update), is_leaf,
             np.empty(len(rows) + 1, dtype=np.int64),
         )  # fmt: skip
-        # Its memory serves the next front; an empty view of it would hold it.
-        updates[child], is_leaf = _NO_SINGLES, False
+        updates[child], is_leaf = _NO_SINGLES, False  # its memory is needed no more
     if n:
         info = np.zeros(1, np.int32)
         _factor_front(n, n_below, *in_precision(block), *in_precision(update), not is_leaf, info)

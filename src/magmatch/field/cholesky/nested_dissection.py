@@ -35,12 +35,10 @@ class Front:
 class Elimination:
     """Order and fronts of the factorisation of a `StencilMatrix` over given cells."""
 
+    cells: CellGrid
     position: np.ndarray  # (m + 3,): place of each unknown in the order; the constant's come last
     unknown: np.ndarray  # (m + 3,): the reverse: which unknown stands at each place
     fronts: list[Front]  # children before parents; the last one is the root
-    flat_nodes: np.ndarray  # to walk from a node to its 343 neighbours (see `CellGrid`)
-    shifts: np.ndarray
-    node_index: np.ndarray
 
     @property
     def n_unknowns(self) -> int:
@@ -73,14 +71,7 @@ def order_elimination(cells: CellGrid, leaf_size: int = LEAF_SIZE) -> Eliminatio
     unknown = np.concatenate(groups)
     position = np.empty(len(unknown), dtype=np.int64)
     position[unknown] = np.arange(len(unknown))
-    return Elimination(
-        position,
-        unknown,
-        _fronts(cells, position, unknown, groups, children),
-        cells.flat_nodes(),
-        cells.stencil_shifts(),
-        cells.node_index.ravel(),
-    )
+    return Elimination(cells, position, unknown, _fronts(cells, position, unknown, groups, children))
 
 
 def _dissect(

@@ -20,7 +20,6 @@ from magmatch.field.cholesky.blas import (
     trmm,
     trtri,
 )
-from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
 from magmatch.field.cholesky.cells import FULL_STENCIL, HALF_STENCIL
 from magmatch.field.cholesky.multifrontal import CholeskyFactor, flat, in_precision
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
@@ -44,14 +43,14 @@ def selected_inverse(factor: CholeskyFactor) -> StencilMatrix:
         for k in reversed(fronts):
             front, L, X, Z22 = e.fronts[k], factor.pivots[k], factor.below[k], in_precision(inherited.pop(k))
             n, n_below = len(L), len(X)
-            scratch, Z = (in_precision(flat(BUFFER_POOL.take(n + n_below, n, factor.precision))) for _ in range(2))
+            scratch, Z = (in_precision(np.empty((n + n_below) * n, factor.precision)) for _ in range(2))
             if n:
                 _front_inverse(n, n_below, *in_precision(flat(L)), *in_precision(flat(X)), *Z22, *scratch, *Z)
             for child, rows in zip(front.children, front.child_rows, strict=True):
-                inherited[child] = flat(BUFFER_POOL.take(len(rows), len(rows), factor.precision))
+                inherited[child] = np.empty(len(rows) ** 2, factor.precision)
                 _take_block(n, n_below, *Z, *Z22, rows, *in_precision(inherited[child]))
             _store(
-                front.unknowns, n, e.flat_nodes, e.shifts, e.node_index, row_of, *Z,
+                front.unknowns, n, e.cells.flat_nodes, e.cells.shifts, e.cells.node_index.ravel(), row_of, *Z,
                 out.stencil, out.border, out.corner,
             )  # fmt: skip
 

@@ -36,10 +36,9 @@ class StencilMatrix:
     def times(self, x: np.ndarray, cells: CellGrid) -> np.ndarray:
         """Product with a vector, (m + 3,)."""
         out = np.zeros(len(x))
-        shifts = cells.stencil_shifts()[HALF_STENCIL - 1 :]
         _multiply(
-            cells.flat_nodes(), shifts, cells.node_index.ravel(), self.stencil, self.border, self.corner,
-            np.ascontiguousarray(x), out,
+            cells.flat_nodes, cells.shifts[HALF_STENCIL - 1 :], cells.node_index.ravel(), self.stencil, self.border,
+            self.corner, np.ascontiguousarray(x), out,
         )  # fmt: skip
         return out
 

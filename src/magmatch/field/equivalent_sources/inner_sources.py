@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from magmatch.field.equivalent_sources.magnets import magnet_charges
 from magmatch.field.equivalent_sources.shell import MOST_NODES, SourceShell, charge_design
 from magmatch.field.folds import cube_numbers, has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.geometry import in_hull
 from magmatch.grid import spanned_points
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
@@ -135,7 +136,7 @@ def hole_charges(shell: SourceShell, points: Points) -> tuple[Points, Indices]:
     distance = max(_DISTANCE_IN_NEIGHBOURS * neighbour, low)
     nodes = _lattice(points, _STEP * distance) if distance <= high else none[0]
     nodes = nodes[~np.isfinite(tree.query(nodes, distance_upper_bound=distance)[0])]
-    nodes = nodes[_in_hull(nodes, points)]
+    nodes = nodes[in_hull(nodes, points)]
     nodes = nodes[cKDTree(shell.sources).query(nodes)[0] > _APART * shell.distance]
     if not 0 < len(nodes) <= _MOST_CHARGES:
         return none
@@ -150,12 +151,3 @@ def _lattice(points: Points, step: float) -> Points:
         return np.zeros((0, 3))
     axes = [(a + b - (n - 1) * step) / 2 + step * np.arange(n) for a, b, n in zip(start, end, counts, strict=True)]
     return spanned_points(axes)
-
-
-def _in_hull(nodes: Points, points: Points) -> Mask:
-    """Whether nodes lie in the convex hull of points; none does where all points lie in a plane."""
-    try:
-        planes = ConvexHull(points).equations
-    except QhullError:
-        return np.zeros(len(nodes), dtype=np.bool_)
-    return np.asarray(np.all(nodes @ planes[:, :3].T + planes[:, 3] <= 0, axis=1))

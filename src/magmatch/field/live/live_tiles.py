@@ -132,7 +132,7 @@ class LiveTiles:
         blocks = [self.blocks[i] for i in self._around(index)]
         kept = np.concatenate([block.kept for block in blocks])
         cells = lay_cells(kept[:, :3], self.tiling.spacing, self.hyperparameters.reach, self.tiling.box(index))
-        model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
+        model = SplineModel(self.hyperparameters, order_elimination(cells))
         inside = kept[self.tiling.is_inside(kept[:, :3], index)]
         information = model.observe(inside[:, :3], inside[:, 3:])
         for block in blocks:

@@ -11,9 +11,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from magmatch.data.survey import Survey
-from magmatch.field.folds import has_path_order, typical_step
+from magmatch.field.folds import has_path_order
 from magmatch.field.linear_model import FieldPosterior
 from magmatch.field.values import gradient_norm, gradient_of
+from magmatch.geometry import typical_step
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
 
 log = logging.getLogger(__name__)

@@ -22,15 +22,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magmatch.field.cholesky.buffer_pool import BUFFER_POOL
-from magmatch.field.cholesky.cells import HALF_STENCIL, CellGrid, lay_cells
+from magmatch.field.cholesky.cells import lay_cells
 from magmatch.field.cholesky.multifrontal import CholeskyFactor, Factors, factorise
 from magmatch.field.cholesky.nested_dissection import Elimination, order_elimination
 from magmatch.field.cholesky.stencil_matrix import StencilMatrix
-from magmatch.field.folds import has_path_order, typical_step
+from magmatch.field.folds import has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_model import SplineInformation, SplineModel, SplinePosterior
 from magmatch.field.spline.spline_prior import constant_precision, relative_prior_precision
+from magmatch.geometry import typical_step
 from magmatch.typing import Indices, Mask, Points, Scalars, Vectors
 
 # The top of the evidence is off by a few hundredths of the noise with so many.
@@ -97,7 +97,7 @@ class EvidenceSearch:
         self.points, self.field, self.order, self.precision = points, field, order, precision
         self.autocorrelation_time = 1.0
         # By spacing and reach.
-        self._bases: dict[tuple[float, float], tuple[CellGrid, Elimination]] = {}
+        self._bases: dict[tuple[float, float], Elimination] = {}
         self._data: dict[tuple[float, float], SplineInformation] = {}
         self._fits: dict[Hyperparameters, TrialFit] = {}
         # The last fit's: slopes are asked for at once or not at all.
@@ -176,16 +176,15 @@ class EvidenceSearch:
         except np.linalg.LinAlgError:
             # The numbers were chosen with all samples; without some, noise as small may be too much for fewer digits.
             A, factor = self._factor(h, rest, np.float64)
-        w, _, change = _solve(A, factor, rest.eta, model.cells)
+        w, _, change = _solve(A, factor, rest.eta)
         return SplinePosterior(h, model.cells, Factors.of(factor), w + change)
 
     def _model(self, h: Hyperparameters) -> SplineModel:
         """Splines over all samples; those of one spacing and reach are laid once."""
         key = (h.spacing, h.reach)
         if key not in self._bases:
-            cells = lay_cells(self.points, *key)
-            self._bases[key] = cells, order_elimination(cells)
-        return SplineModel(h, *self._bases[key])
+            self._bases[key] = order_elimination(lay_cells(self.points, *key))
+        return SplineModel(h, self._bases[key])
 
     def _observed(self, h: Hyperparameters) -> SplineInformation:
         """Collect the samples' information on splines of one spacing and reach, once."""
@@ -199,7 +198,7 @@ class EvidenceSearch:
             data = self._observed(h)
             A, factor = self._factor(h, data, self.precision)
             self._last = h, factor
-            w, left, change = _solve(A, factor, data.eta, self._model(h).cells)
+            w, left, change = _solve(A, factor, data.eta)
             # The first solution's value, which is off by the square of its error; and that square.
             square = data.square - float((data.eta + left) @ w) - float(left @ change)
             # Rounding errors may not pass for a perfect fit.
@@ -212,9 +211,8 @@ class EvidenceSearch:
     ) -> tuple[StencilMatrix, CholeskyFactor]:
         """Posterior precision and its factor, in single precision where asked and possible."""
         model = self._model(h)
-        stencil = BUFFER_POOL.take(HALF_STENCIL, model.cells.n_nodes).T
-        np.multiply(self._shape(h).stencil, relative_prior_precision(h), out=stencil)
-        np.add(stencil, data.gram.stencil, out=stencil)
+        stencil = self._shape(h).stencil * relative_prior_precision(h)
+        stencil += data.gram.stencil
         corner = data.gram.corner + np.eye(3) * constant_precision(h)
         A = StencilMatrix(stencil, data.gram.border, corner)
         is_risky = precision == np.float32 and model.information_ratio(data) > HIGHEST_INFORMATION_RATIO
@@ -242,12 +240,10 @@ def _shape_of(h: Hyperparameters) -> Shape:
     return (h.spacing, h.reach, h.lengthscale, h.divergence_weight)
 
 
-def _solve(
-    A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars, cells: CellGrid
-) -> tuple[Scalars, Scalars, Scalars]:
+def _solve(A: StencilMatrix, factor: CholeskyFactor, rhs: Scalars) -> tuple[Scalars, Scalars, Scalars]:
     """Solution, what it leaves, and how that changes it: the difference of large numbers counts."""
     w = factor.solve(rhs)
-    left = rhs - A.times(w, cells)
+    left = rhs - A.times(w, factor.elimination.cells)
     return w, left, factor.solve(left)
 
 

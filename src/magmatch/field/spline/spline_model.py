@@ -64,14 +64,18 @@ class SplineModel:
     """Splines over the cells near given points, with fixed hyperparameters."""
 
     hyperparameters: Hyperparameters
-    cells: CellGrid
-    elimination: Elimination
+    elimination: Elimination  # over those cells
 
     @classmethod
     def over(cls, points: Points, hyperparameters: Hyperparameters) -> "SplineModel":
         """Lay splines over the surroundings of points."""
         cells = lay_cells(points, hyperparameters.spacing, hyperparameters.reach)
-        return cls(hyperparameters, cells, order_elimination(cells))
+        return cls(hyperparameters, order_elimination(cells))
+
+    @property
+    def cells(self) -> CellGrid:
+        """The cells that splines lie over."""
+        return self.elimination.cells
 
     def observe(self, points: Points, field: Vectors, weights: Scalars | None = None) -> SplineInformation:
         """Information in samples; those outside the active cells inform the constant field alone."""
@@ -110,7 +114,7 @@ class SplineModel:
             factor = factorise(self.elimination, A, np.float32)
         except np.linalg.LinAlgError:
             return self.infer(information)
-        weights = refined_solve(A, factor, information.eta, self.cells)
+        weights = refined_solve(A, factor, information.eta)
         if weights is None:
             return self.infer(information)
         factors = Factors(partial(factorise, self.elimination, A), factor)

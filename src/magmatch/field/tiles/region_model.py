@@ -158,10 +158,9 @@ def lay_splines(points: Points, hyperparameters: Hyperparameters) -> WholeModel 
     """Model of the surroundings of points."""
     spacing = hyperparameters.spacing
     if count_active_cells(points, spacing, hyperparameters.reach, MOST_BOX_CELLS) <= MOST_CELLS:
-        cells = lay_cells(points, spacing, hyperparameters.reach)
-        elimination = order_elimination(cells)
-        if elimination.n_operations <= MOST_OPERATIONS:
-            return WholeModel(hyperparameters, cells, elimination)
+        model = WholeModel(hyperparameters, order_elimination(lay_cells(points, spacing, hyperparameters.reach)))
+        if model.n_operations <= MOST_OPERATIONS:
+            return model
     return TiledModel.over(points, hyperparameters)
 
 

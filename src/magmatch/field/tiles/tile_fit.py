@@ -116,8 +116,7 @@ class TileTask:
 
     def model(self) -> SplineModel:
         """Splines over the tile's cells."""
-        cells = self.cells()
-        return SplineModel(self.hyperparameters, cells, order_elimination(cells))
+        return SplineModel(self.hyperparameters, order_elimination(self.cells()))
 
     def observe(self, model: SplineModel) -> SplineInformation:
         """Collect the information of the tile's samples."""
@@ -145,7 +144,7 @@ class TileTask:
 
     def _factorise_again(self, cells: CellGrid, weights: Scalars, precision: type[np.floating]) -> CholeskyFactor:
         """Factor of the fit, once it is seen to give the field that was stored."""
-        model = SplineModel(self.hyperparameters, cells, order_elimination(cells))
+        model = SplineModel(self.hyperparameters, order_elimination(cells))
         fit = model.infer if precision == np.float64 else model.infer_in_single_precision
         fitted = fit(self.observe(model))
         if not is_refit(fitted, weights, self.around):

@@ -21,7 +21,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_kernels import right_hand_sides
 from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import CONSTANT_SD, cell_precision, cell_weights
-from magmatch.field.tiles.tile_fit import TileTask, TileTasks
+from magmatch.field.tiles.tile_fit import TileTask
 from magmatch.threads import single_threaded
 from magmatch.typing import Indices, Matrix, Scalars
 
@@ -35,27 +35,12 @@ _STEP = np.uint64(0x9E3779B97F4A7C15)
 class TiledDraw:
     """One posterior sample: one row of every tile's draws."""
 
-    draws: "TiledDraws"
+    draws_of: Callable[[int], Matrix]  # gives a tile's weights in every draw, (n_draws, m + 3)
     number: int
 
     def of_tile(self, number: int) -> Scalars:
         """Weights of one tile."""
-        return np.asarray(self.draws.of_tile(number)[self.number])
-
-
-class TiledDraws:
-    """Draws of a posterior, computed tile by tile as points fall into them."""
-
-    def __init__(self, tasks: TileTasks, factored: Callable[[int], SplinePosterior], n_draws: int, seed: int) -> None:
-        self.tasks, self.factored, self.n_draws, self.seed = tasks, factored, n_draws, seed
-        self._found: dict[int, Matrix] = {}
-
-    def of_tile(self, number: int) -> Matrix:
-        """Weights of a tile in every draw: (n_draws, m + 3)."""
-        if number not in self._found:
-            task, seen = self.tasks.task(number), self.tasks.rows[0][number]
-            self._found[number] = draw_tile(task, seen, self.factored(number), self.n_draws, self.seed)
-        return self._found[number]
+        return np.asarray(self.draws_of(number)[self.number])
 
 
 @single_threaded

@@ -15,7 +15,7 @@ error of a weighted mean is at most the weighted mean of the squared errors, by 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -25,11 +25,11 @@ from magmatch.field.spline.spline_model import SplinePosterior
 from magmatch.field.spline.spline_prior import outside_covariance
 from magmatch.field.tiles.blending import Share, blended_covariance, blended_values, tile_shares
 from magmatch.field.tiles.tile_fit import TileCache, TileTasks
-from magmatch.field.tiles.tiled_draws import TiledDraw, TiledDraws
+from magmatch.field.tiles.tiled_draws import TiledDraw, draw_tile
 from magmatch.field.tiles.tiles import TileKeys, Tiling
 from magmatch.field.values import FieldValues
 from magmatch.threads import side_by_side
-from magmatch.typing import Mask, Points, Scalars, Vector3
+from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
 # Bytes of factors that are kept: so many, and one more tile's of at most 0.3 GB.
 FACTORED_BYTES = 8e8
@@ -122,8 +122,14 @@ class TiledPosterior:
 
     def draw_weights(self, n_draws: int, rng: np.random.Generator) -> Sequence[TiledDraw]:
         """Posterior samples, for `evaluate`; each tile's is computed when a point first falls into it."""
-        draws = TiledDraws(self.tasks, self.factored, n_draws, int(rng.integers(2**62)))
-        return [TiledDraw(draws, k) for k in range(n_draws)]
+        seed = int(rng.integers(2**62))
+
+        @cache
+        def draws_of(number: int) -> Matrix:
+            task, seen = self.tasks.task(number), self.tasks.rows[0][number]
+            return draw_tile(task, seen, self.factored(number), n_draws, seed)
+
+        return [TiledDraw(draws_of, k) for k in range(n_draws)]
 
     def without_factors(self) -> "TiledPosterior":
         """Few factors are ever kept."""
