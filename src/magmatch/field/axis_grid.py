@@ -43,11 +43,6 @@ class MapGrid:
     sd: np.ndarray  # (nx, ny, nz, 3), T
     is_known: np.ndarray  # (nx, ny, nz): where the map has data nearby
 
-    def values(self) -> dict[str, np.ndarray]:
-        """Give the values that VTK and NetCDF hold, by name."""
-        magnitude = np.linalg.norm(self.field, axis=-1)
-        return {"field": self.field, "sd": self.sd, "magnitude": magnitude, "known": self.is_known.astype(np.float64)}
-
     def to_xarray(self, frame: str) -> Any:
         """Give the grid as an xarray Dataset with units and names; an axis of one point is no dimension."""
         xr = import_extra("xarray", "a map as a grid of xarray or NetCDF", "grid")
@@ -106,8 +101,10 @@ def map_on_grid(field_map: Mapped, spacing: float | None = None, cut: tuple[str,
 
 def write_vtk(grid: MapGrid, path: str | Path) -> None:
     """Write a grid as legacy VTK (structured points, binary)."""
+    magnitude, known = np.linalg.norm(grid.field, axis=-1), grid.is_known.astype(np.float64)
+    values = {"field": grid.field, "sd": grid.sd, "magnitude": magnitude, "known": known}
     with atomic_write(path) as stream:
-        write_vtk_grid(stream, grid.axes, grid.spacing, grid.values())
+        write_vtk_grid(stream, grid.axes, grid.spacing, values)
 
 
 def write_ply_cloud(grid: MapGrid, path: str | Path) -> None:

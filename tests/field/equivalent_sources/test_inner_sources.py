@@ -67,7 +67,7 @@ def test_holes_of_chance_stay_empty():
     points = np.random.default_rng(1).uniform(0, BOX, size=(500, 3))
     field = field_at(points, 0.0) + np.random.default_rng(9).normal(scale=NOISE, size=points.shape)
     shell = lay_shell(points, 0.4, 0.2, 600)
-    assert find_inner_sources(shell, points, field).filled(H, 1e-4) is shell
+    assert find_inner_sources(shell, points, field).filled(H) is shell
 
 
 def test_along_a_path_and_in_a_plane_there_are_no_holes():

@@ -16,6 +16,7 @@ from magmatch.field.equivalent_sources.magnets import magnet_charges
 from magmatch.field.equivalent_sources.shell import MOST_NODES, SourceShell, charge_design
 from magmatch.field.folds import cube_numbers, has_path_order
 from magmatch.field.hyperparameters import Hyperparameters
+from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.geometry import in_hull
 from magmatch.grid import spanned_points
 from magmatch.typing import Indices, Mask, Matrix, Points, Scalars, Vectors
@@ -51,14 +52,14 @@ class InnerSources:
     gram: Matrix
     product: Scalars  # (m,), T: of the columns with the field
 
-    def filled(self, h: Hyperparameters, constant_sd: float) -> SourceShell:
+    def filled(self, h: Hyperparameters) -> SourceShell:
         """Layer with those charges that the evidence asks for."""
         if len(self.charges) == 0:
             return self.shell
         unit = h.prior_scale * h.signal_sd
         holes = np.full(len(self.charges) - len(self.strength), self.shell.scale[0])
         scale = np.concatenate([self.strength / unit, holes])
-        size = np.concatenate([unit * self.shell.scale, unit * scale, np.full(3, constant_sd)]) / h.noise_sd
+        size = np.concatenate([unit * self.shell.scale, unit * scale, np.full(3, CONSTANT_SD)]) / h.noise_sd
         is_extra = np.zeros(len(size), dtype=np.bool_)
         is_extra[self.shell.n_weights : -3] = True
         gram, y = self.gram * size * size[:, None], self.product * size / h.noise_sd

@@ -81,13 +81,6 @@ def dense_prior(gram: Matrix, h: Hyperparameters, constant_sd: float, jitter: fl
     return factor
 
 
-def independent_prior(n_weights: int, h: Hyperparameters, constant_sd: float) -> Scalars:
-    """Factor of an `InducingModel` whose weights are independent."""
-    factor = np.full(n_weights + 3, h.noise_sd / (h.prior_scale * h.signal_sd))
-    factor[-3:] = h.noise_sd / max(constant_sd, _NO_CONSTANT_SD)
-    return factor
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class InducingModel:
     """A dense basis over a region, with fixed hyperparameters."""

@@ -272,7 +272,7 @@ class FieldEstimator:
 
 def _lay_tiles(h: Hyperparameters, block: int, clock: Callable[[], float]) -> LiveTiles:
     """Tiles without samples."""
-    tiling = replace(Tiling.suited_to(h.lengthscale, h.spacing, h.reach), core=block)
+    tiling = replace(Tiling.suited_to(h), core=block)
     return LiveTiles(h, tiling, clock)
 
 

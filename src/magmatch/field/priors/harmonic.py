@@ -19,7 +19,7 @@ from magmatch.field.excess import WIDEST
 from magmatch.field.folds import Folds, divide
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
-from magmatch.field.inducing.inducing_model import InducingModel, independent_prior
+from magmatch.field.inducing.inducing_model import InducingModel
 from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
 from magmatch.field.inducing.kernels import CurlFreeKernel
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, tridiagonal, tridiagonal_score, walk_uphill
@@ -89,7 +89,7 @@ class HarmonicPrior:
         check_samples(points, field, MIN_SAMPLES)
         h = hyperparameters
         if self.box is None:
-            shell = self._sources(points, field, h).filled(h, CONSTANT_SD)
+            shell = self._sources(points, field, h).filled(h)
         else:
             shell = self._shell(points, h.lengthscale, h.spacing, self.max_sources)
         if shell.distance > _SAME_DISTANCE * h.lengthscale:
@@ -97,9 +97,11 @@ class HarmonicPrior:
                 "equivalent sources %.3g m from the samples, not %.3g m: at most %d allowed",
                 shell.distance, h.lengthscale, self.max_sources,
             )  # fmt: skip
+        # The weights are independent.
+        factor = np.full(shell.n_weights + 3, h.noise_sd / (h.prior_scale * h.signal_sd))
+        factor[-3:] = h.noise_sd / CONSTANT_SD
         return InducingModel(
-            h, shell, CurlFreeKernel(shell.distance, 1.0), CONSTANT_SD,
-            independent_prior(shell.n_weights, h, CONSTANT_SD), cKDTree(points),
+            h, shell, CurlFreeKernel(shell.distance, 1.0), CONSTANT_SD, factor, cKDTree(points),
             _KNOWN_RATIO * shell.distance, shell.inner,
         )  # fmt: skip
 
@@ -123,7 +125,7 @@ class HarmonicPrior:
         """Signal and noise once inner sources are no longer noise; with less of it more of them show."""
         some, found = self._some(points), self._sources(points, field, h)
         for _ in range(_ROUNDS_OF_SOURCES):
-            shell = found.filled(h, CONSTANT_SD)
+            shell = found.filled(h)
             if shell.inner is None:
                 break
             fit = fit_shell(shell, points[some], field[some], divide(points[some], h.lengthscale))

@@ -17,7 +17,6 @@ With ``P0`` proportional to the noise's square and t its logarithm, for S and A 
 T is the mean of ``u^T P0 u`` over draws u of covariance ``A^-1`` (Hutchinson 1989, doi:10.1080/03610918908812806).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,28 +54,6 @@ class NoiseSlopes:
 
     evidence: tuple[float, float]
     level: tuple[float, float]
-
-
-def noise_slopes(
-    times_prior: Callable[[Scalars], Scalars],
-    factor: CholeskyFactor,
-    weights: Scalars,
-    square: float,
-    n_independent: float,
-) -> NoiseSlopes:
-    """Derivatives of the evidence at a fit."""
-    m = len(weights)
-    white = 2.0 * np.random.default_rng(0).integers(0, 2, (m, N_PROBES)) - 1
-    draws = factor.solve_half(white)
-    products = np.stack([times_prior(column) for column in (*draws.T, weights)], axis=1)
-    squares = np.einsum("ij,ij->j", products, factor.solve(products))
-    trace = float(np.einsum("ij,ij->", products[:, :-1], draws)) / N_PROBES
-    q, trace_of_square = float(products[:, -1] @ weights), float(squares[:-1].mean())
-    slope = q / square
-    bend = (q - 2 * float(squares[-1])) / square - slope**2
-    evidence = -0.5 * (n_independent * slope + trace - m), -0.5 * (n_independent * bend + trace - trace_of_square)
-    # The noise's logarithm is half of t; a level is the root of its square.
-    return NoiseSlopes((2 * evidence[0], 4 * evidence[1]), (slope, 2 * bend))
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,17 +120,20 @@ class EvidenceSearch:
 
     def noise_slopes(self, h: Hyperparameters) -> NoiseSlopes:
         """Give the slopes of evidence and noise level with the noise, at numbers of finite evidence."""
-        shape, cells = self._shape(h), self._model(h).cells
         if self._last is None or self._last[0] != h:
             self._last = h, self._factor(h, self._observed(h), self.precision)[1]
-
-        def times_prior(x: Scalars) -> Scalars:
-            product = relative_prior_precision(h) * shape.times(x, cells)
-            product[-3:] = constant_precision(h) * x[-3:]
-            return product
-
-        fit = self._fit(h)
-        return noise_slopes(times_prior, self._last[1], fit.weights, fit.square, self.n_independent)
+        factor, fit, n = self._last[1], self._fit(h), self.n_independent
+        m = len(fit.weights)
+        draws = factor.solve_half(2.0 * np.random.default_rng(0).integers(0, 2, (m, N_PROBES)) - 1)
+        products = np.stack([self._times_prior(h, column) for column in (*draws.T, fit.weights)], axis=1)
+        squares = np.einsum("ij,ij->j", products, factor.solve(products))
+        trace = float(np.einsum("ij,ij->", products[:, :-1], draws)) / N_PROBES
+        q, trace_of_square = float(products[:, -1] @ fit.weights), float(squares[:-1].mean())
+        slope = q / fit.square
+        bend = (q - 2 * float(squares[-1])) / fit.square - slope**2
+        evidence = -0.5 * (n * slope + trace - m), -0.5 * (n * bend + trace - trace_of_square)
+        # The noise's logarithm is half of t; a level is the root of its square.
+        return NoiseSlopes((2 * evidence[0], 4 * evidence[1]), (slope, 2 * bend))
 
     def temper(self, h: Hyperparameters) -> None:
         """Set how many neighbouring samples of a path count as one, from the autocorrelation of a fit's residuals."""
@@ -178,6 +158,12 @@ class EvidenceSearch:
             A, factor = self._factor(h, rest, np.float64)
         w, _, change = _solve(A, factor, rest.eta)
         return SplinePosterior(h, model.cells, Factors.of(factor), w + change)
+
+    def _times_prior(self, h: Hyperparameters, x: Scalars) -> Scalars:
+        """Give ``P0 x``."""
+        product = relative_prior_precision(h) * self._shape(h).times(x, self._model(h).cells)
+        product[-3:] = constant_precision(h) * x[-3:]
+        return product
 
     def _model(self, h: Hyperparameters) -> SplineModel:
         """Splines over all samples; those of one spacing and reach are laid once."""

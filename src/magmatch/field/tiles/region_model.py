@@ -19,13 +19,15 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.spline.spline_model import WHOLE, SplineModel, SplinePosterior
 from magmatch.field.tiles.tile_fit import Samples, TileCache, TileTasks, fit_weights
-from magmatch.field.tiles.tiled_posterior import FACTORED_BYTES, TiledPosterior
+from magmatch.field.tiles.tiled_posterior import TiledPosterior
 from magmatch.field.tiles.tiles import Tiling
 from magmatch.progress import tell
 from magmatch.runner import Runner, Workers
 from magmatch.threads import side_by_side, single_threaded
 from magmatch.typing import Indices, Points, Scalars, Vectors
 
+# Bytes of factors that are kept: so many, and one more tile's of at most 0.3 GB.
+FACTORED_BYTES = 8e8
 # Tiles that stand for all when the cost of a fit is estimated.
 N_WEIGHED_TILES = 9
 # What one factor may cost: floating-point operations (about a second), and cells of the region and of the box around
@@ -58,10 +60,9 @@ class TiledModel:
     @classmethod
     def over(cls, points: Points, hyperparameters: Hyperparameters, tiling: Tiling | None = None) -> "TiledModel":
         """Lay tiles (of the usual sizes unless stated) over the surroundings of points."""
-        h = hyperparameters
-        tiling = tiling or Tiling.suited_to(h.lengthscale, h.spacing, h.reach)
+        tiling = tiling or Tiling.suited_to(hyperparameters)
         tiles = tiling.occupied(points)
-        return cls(h, tiling, tiles, points, tiling.assign(points, tiles))
+        return cls(hyperparameters, tiling, tiles, points, tiling.assign(points, tiles))
 
     def observe(self, points: Points, field: Vectors) -> TiledInformation:
         """Information in samples; those outside of all tiles say nothing."""

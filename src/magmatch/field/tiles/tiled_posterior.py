@@ -31,20 +31,17 @@ from magmatch.field.values import FieldValues
 from magmatch.threads import side_by_side
 from magmatch.typing import Mask, Matrix, Points, Scalars, Vector3
 
-# Bytes of factors that are kept: so many, and one more tile's of at most 0.3 GB.
-FACTORED_BYTES = 8e8
-
 
 @dataclass(frozen=True, eq=False)
 class TiledPosterior:
-    """A fitted field of many tiles; fills `magmatch.field.linear_model.Posterior`.
+    """A fitted field of many tiles; fills `magmatch.field.linear_model.FieldPosterior`.
 
     ``tile_weights`` are the posterior means of each tile, (m + 3,), T; ``factored_tiles`` keeps some factors.
     """
 
     tasks: TileTasks
     tile_weights: list[Scalars]
-    factored_tiles: TileCache = field(default_factory=lambda: TileCache(FACTORED_BYTES), repr=False)
+    factored_tiles: TileCache = field(repr=False)
     _ready: TileCache = field(default_factory=TileCache, init=False, repr=False)
 
     @property

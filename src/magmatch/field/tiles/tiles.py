@@ -14,6 +14,7 @@ import numpy as np
 
 from magmatch.errors import ConfigurationError
 from magmatch.field.cholesky.cells import lattice_coordinate
+from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import Index
 from magmatch.grid import distinct_cells
 from magmatch.typing import Indices, Points, Scalars
@@ -40,10 +41,10 @@ class Tiling:
     blend: int = BLEND  # cells: half the width over which tiles blend
 
     @classmethod
-    def suited_to(cls, lengthscale: float, spacing: float, reach: float) -> "Tiling":
-        """Sizes for a field of a lengthscale."""
-        wished = round(FIXED_MARGIN + MARGIN_IN_LENGTHSCALES * min(lengthscale / spacing, MOST_MARGIN * 2))
-        return cls(spacing, int(np.clip(wished, LEAST_MARGIN, MOST_MARGIN)), int(np.floor(reach)))
+    def suited_to(cls, h: Hyperparameters) -> "Tiling":
+        """Sizes for a field of such numbers."""
+        wished = round(FIXED_MARGIN + MARGIN_IN_LENGTHSCALES * min(h.lengthscale / h.spacing, MOST_MARGIN * 2))
+        return cls(h.spacing, int(np.clip(wished, LEAST_MARGIN, MOST_MARGIN)), int(np.floor(h.reach)))
 
     def first_cell(self, index: Index) -> np.ndarray:
         """First cell of a tile's core."""
