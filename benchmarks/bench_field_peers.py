@@ -15,7 +15,7 @@ import numpy as np
 
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.inducing_prior import InducingPrior
-from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, Kernel
 from magmatch.field.priors import MAX_INDUCING_POINTS, PRIORS
 from magmatch.threads import single_threaded
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
@@ -27,7 +27,7 @@ SD, NOISE_SD = 20 * UT, 0.4 * UT  # of a component of the simulated field; 2 % o
 N_QUERIES, BATCH = 5000, 500
 COARSER = 1.5
 # Without a constant field.
-PUBLISHED = InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, MAX_INDUCING_POINTS, 0.0)
+PUBLISHED = InducingPrior("divergence_free", DIVERGENCE_FREE, DIVERGENCE_FREE, MAX_INDUCING_POINTS, 0.0)
 
 
 def simulated(n):
@@ -93,7 +93,7 @@ def gpytorch_exact(points, field, queries, lengthscale, signal_sd, noise_sd):
 
 def contenders(points, field, queries, length, signal):
     """Each way of getting the mean at the queries from the samples with numbers fixed beforehand."""
-    kernel = DivergenceFreeKernel(length, signal)
+    kernel = Kernel(DIVERGENCE_FREE, length, signal)
     published, spline = PUBLISHED, PRIORS["spline"]
     h = Hyperparameters(length, signal, NOISE_SD, 0.7 * length)
     chosen = spline.choose_hyperparameters(points, field)

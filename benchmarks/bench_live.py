@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from magmatch.data.recordings import load_recordings
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import lay_inducing_grid
-from magmatch.field.inducing.kernels import DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, Kernel
 from magmatch.field.live import estimator as live
 from magmatch.published.recursion import RecursiveField
 from magmatch_evaluation.script import UT, arguments, rmse_ut, timed
@@ -116,7 +116,7 @@ def run_peer(x, b, half, n_updates=100):
     """Published recursion over a room that the walk crosses."""
     here = np.all(np.abs(x - x[len(x) // 2]) < [half, half, 1.0], axis=1)
     x, b = x[here], b[here]
-    kernel = DivergenceFreeKernel(H.lengthscale, H.signal_sd)
+    kernel = Kernel(DIVERGENCE_FREE, H.lengthscale, H.signal_sd)
     nodes = lay_inducing_grid(x, 0.6 * H.lengthscale, H.lengthscale).nodes
     state = RecursiveField.start(kernel, nodes, H.noise_sd, constant_sd=1e-4)
     seconds = []

@@ -13,11 +13,11 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
 from magmatch.field.inducing.inducing_prior import InducingPrior
-from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, Kernel
 from magmatch.published.recursion import RecursiveField, recursively
 
 laws = settings(deadline=None, max_examples=10)
-KERNEL = DivergenceFreeKernel(0.7, 12e-6)
+KERNEL = Kernel(DIVERGENCE_FREE, 0.7, 12e-6)
 NOISE = 0.8e-6
 U = np.stack(np.meshgrid(*[np.array([-0.7, 0.0, 0.7])] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -90,7 +90,7 @@ def batch():
     numbers = {"lengthscale": 0.7, "signal_sd": 12e-6, "noise_sd": NOISE, "spacing": 0.6}
     config = FieldConfig(prior="divergence_free", leave_out_outliers=False, **numbers)
     field_map = build_map(Survey(points, field), config)
-    prior = InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, 1200, 0.0)
+    prior = InducingPrior("divergence_free", DIVERGENCE_FREE, DIVERGENCE_FREE, 1200, 0.0)
     p_model = field_map.survey.transformed(field_map.T_map_model.inv())
     model = prior.build(p_model.positions, p_model.field, field_map.hyperparameters)
     return replace(field_map, posterior=model.fit(p_model.positions, p_model.field, {}, map))

@@ -17,7 +17,7 @@ from magmatch.errors import ConfigurationError
 from magmatch.field.inducing.gaussian_grid import GaussianGrid, chunks, rows_as_values
 from magmatch.field.inducing.inducing_model import InducingPosterior, dense_prior, gram_factor
 from magmatch.field.inducing.inducing_prior import JITTER
-from magmatch.field.inducing.kernels import N_ROWS, DivergenceFreeKernel, Kernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, N_ROWS, Kernel
 from magmatch.field.linear_model import Index
 from magmatch.field.map import FieldMap
 from magmatch.field.values import FieldValues
@@ -171,7 +171,7 @@ def recursively(field_map: FieldMap) -> FieldMap:
         raise ConfigurationError(msg)
     basis = posterior.model.basis
     assert isinstance(basis, GaussianGrid)
-    kernel = DivergenceFreeKernel(numbers.lengthscale, numbers.prior_scale * numbers.signal_sd)
+    kernel = Kernel(DIVERGENCE_FREE, numbers.lengthscale, numbers.prior_scale * numbers.signal_sd)
     samples = field_map.survey.transformed(field_map.T_map_model.inv())
     tell(f"adding {len(samples)} samples one at a time")
     start = RecursiveField.start(kernel, basis.grid.nodes, numbers.noise_sd, jitter=JITTER)

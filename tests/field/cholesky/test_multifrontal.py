@@ -83,7 +83,10 @@ def test_smoothness_is_the_integral_of_squared_derivatives_of_monomials(k):
 
 @pytest.mark.parametrize("divergence_weight", [0.0, 300.0])
 def test_outside_of_all_cells_the_prior_is_the_mean_of_a_lone_cells(divergence_weight):
-    """Which is that of the dense model of one cell and its reach, at points that integrate splines exactly."""
+    """Which is that of the dense model of one cell and its reach, at points that integrate splines exactly.
+
+    So the field varies at a lone sample as `signal_sd` says.
+    """
     h = Hyperparameters(0.5, 2e-6, 1e-7, 0.2, divergence_weight, reach=1.5)
     model = SplineModel.over(np.zeros((1, 3)), h)
     prior = model.infer(model.observe(np.zeros((0, 3)), np.zeros((0, 3))))
@@ -94,6 +97,7 @@ def test_outside_of_all_cells_the_prior_is_the_mean_of_a_lone_cells(divergence_w
     )
     mean[:3, :3] -= CONSTANT_SD**2 * np.eye(3)
     np.testing.assert_allclose(mean, outside_covariance(h, np.zeros((3, 3))), rtol=1e-6, atol=1e-6 * mean[0, 0])
+    np.testing.assert_allclose(mean[:3, :3], h.signal_sd**2 * np.eye(3), rtol=1e-6, atol=1e-6 * mean[0, 0])
 
 
 def test_region_too_large_for_its_spacing_is_refused_in_one_line():

@@ -11,7 +11,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.gaussian_grid import GaussianGrid, InducingGrid
 from magmatch.field.inducing.inducing_model import InducingModel, dense_prior
 from magmatch.field.inducing.inducing_prior import InducingPrior
-from magmatch.field.inducing.kernels import DIVERGENCE_FREE, DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, Kernel
 from magmatch.field.priors import PRIORS
 from oracles.dense import DenseGP
 
@@ -46,7 +46,7 @@ def model_at_nodes(seed=0):
     index = full[np.sort(np.random.default_rng(seed).permutation(48)[:30])]
     grid = InducingGrid(np.array([0.2, 0.1, 0.0]), 0.5, index - index.min(axis=0))
     basis = GaussianGrid(grid, H.lengthscale, DIVERGENCE_FREE)
-    kernel = DivergenceFreeKernel(H.lengthscale, 1.0)
+    kernel = Kernel(DIVERGENCE_FREE, H.lengthscale, 1.0)
     factor = dense_prior(basis.gram(), H, CONSTANT_SD, jitter=1e-11)
     return InducingModel(H, basis, kernel, CONSTANT_SD, factor, cKDTree(grid.nodes), H.lengthscale)
 
@@ -56,7 +56,7 @@ def test_inducing_points_at_all_samples_give_the_exact_model(dipoles_at):
     points = model.basis.grid.nodes
     field = dipoles_at(points)
     posterior = model.infer(model.observe(points, field))
-    exact = DenseGP.fit(DivergenceFreeKernel(H.lengthscale, H.signal_sd), points, field, H.noise_sd, CONSTANT_SD)
+    exact = DenseGP.fit(Kernel(DIVERGENCE_FREE, H.lengthscale, H.signal_sd), points, field, H.noise_sd, CONSTANT_SD)
     x = np.concatenate([queries(), queries() * 4])
     sparse, dense = posterior.evaluate(x, 2), exact.mean(x, 2)
     for part in ("field", "gradient", "second"):
@@ -79,7 +79,7 @@ def test_knows_reaches_a_part_of_the_lengthscale_beyond_samples(posterior):
 def test_hyperparameters_of_a_drawn_field_are_found(length):
     rng = np.random.default_rng(0)
     points = rng.uniform(0, [2.5, 2.0, 0.6], size=(400, 3))
-    K = DivergenceFreeKernel(length, 10e-6).covariance(points, points)
+    K = Kernel(DIVERGENCE_FREE, length, 10e-6).covariance(points, points)
     factor = np.linalg.cholesky(K + 1e-9 * K[0, 0] * np.eye(len(K)))
     field = EARTH + (factor @ rng.normal(size=1200)).reshape(3, -1).T + rng.normal(scale=0.5e-6, size=(400, 3))
     h = PRIOR.choose_hyperparameters(points, field)
@@ -113,7 +113,7 @@ def test_hyperparameters_follow_the_units_of_length_and_field(room):
 
 def test_wide_surveys_get_the_finest_nodes_the_cap_allows(caplog, room):
     points, field = room(seed=1, n=400, box=(12.0, 9.0, 1.0))
-    prior = InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, 100)
+    prior = InducingPrior("divergence_free", DIVERGENCE_FREE, DIVERGENCE_FREE, 100)
     h = prior.choose_hyperparameters(points, field)
     assert "100 inducing points cannot cover the survey more finely" in caplog.text
     model = prior.build(points, field, h)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from magmatch.field.inducing.kernels import DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, Kernel
 
 laws = settings(deadline=None, max_examples=20)
 seeds = st.integers(0, 10_000)
@@ -30,7 +30,7 @@ def printed(d, sf, length):
 def test_kernel_is_the_printed_formula(seed, length):
     rng = np.random.default_rng(seed)
     x, y = rng.normal(size=(4, 3)) * length, rng.normal(size=(5, 3)) * length
-    kernel = DivergenceFreeKernel(length, 17e-6)
+    kernel = Kernel(DIVERGENCE_FREE, length, 17e-6)
     K, sf = blocks(kernel, x, y), 17e-6 * length / np.sqrt(2)
     for i, j in np.ndindex(4, 5):
         np.testing.assert_allclose(K[:, i, :, j], printed(x[i] - y[j], sf, length), rtol=1e-9, atol=1e-24)
@@ -38,7 +38,7 @@ def test_kernel_is_the_printed_formula(seed, length):
 
 def test_prior_of_field_and_gradient_is_that_of_finite_differences():
     length, h = 0.7, 1e-3
-    kernel = DivergenceFreeKernel(length, 2.0)
+    kernel = Kernel(DIVERGENCE_FREE, length, 2.0)
     offsets = np.concatenate([np.zeros((1, 3)), h * EYE, -h * EYE])
     K = kernel.covariance(offsets, offsets).reshape(3, 7, 3, 7)
     stencil = np.zeros((4, 7))
@@ -55,4 +55,4 @@ def test_prior_of_field_and_gradient_is_that_of_finite_differences():
 @pytest.mark.parametrize(("length", "sd"), [(0.0, 1.0), (-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (np.inf, 1.0)])
 def test_impossible_kernel_is_refused(length, sd):
     with pytest.raises(ValueError, match="expected positive lengthscale and signal_sd"):
-        DivergenceFreeKernel(length, sd)
+        Kernel(DIVERGENCE_FREE, length, sd)

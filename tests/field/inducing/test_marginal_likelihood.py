@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from magmatch.field.inducing.kernels import DivergenceFreeKernel
+from magmatch.field.inducing.kernels import DIVERGENCE_FREE, Kernel
 from magmatch.field.inducing.marginal_likelihood import NOISE_RATIOS, fit_at
 
 
@@ -22,7 +22,7 @@ def test_best_signal_and_noise_maximise_the_restricted_likelihood_whose_differen
     rng = np.random.default_rng(0)
     points, field = rng.uniform(size=(25, 3)), rng.normal(scale=10e-6, size=(25, 3)) + 40e-6
     step, best = np.sqrt(NOISE_RATIOS[1] / NOISE_RATIOS[0]), []
-    kernels = [DivergenceFreeKernel(length, 1.0) for length in (0.2, 0.5)]
+    kernels = [Kernel(DIVERGENCE_FREE, length, 1.0) for length in (0.2, 0.5)]
     fits = [fit_at(kernel, points, field) for kernel in kernels]
     for kernel, fit in zip(kernels, fits, strict=True):
 

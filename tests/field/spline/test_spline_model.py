@@ -10,7 +10,6 @@ from dipoles import dipoles
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.priors import PRIORS
 from magmatch.field.spline.spline_model import SplineModel
-from magmatch.field.spline.spline_prior import CONSTANT_SD
 from oracles.dense_matrix import to_dense
 
 H = Hyperparameters(0.5, 1e-5, 5e-7, 0.2, 300.0)
@@ -106,15 +105,6 @@ def test_far_from_data_the_field_is_the_constant_with_its_variance_and_the_prior
     values = np.linalg.eigvalsh(posterior.covariance(far, 1)[0])
     np.testing.assert_allclose(values[:3], 0, atol=1e-12 * values[-1])
     assert values[3] > 0
-
-
-def test_prior_variance_at_a_lone_sample_is_the_stated_one():
-    model = SplineModel.over(np.zeros((1, 3)), H)
-    nothing = model.observe(np.zeros((0, 3)), np.zeros((0, 3)))
-    inside = np.random.default_rng(0).uniform(-H.spacing / 2, H.spacing / 2, (300, 3))
-    variance = np.trace(model.infer(nothing).covariance(inside), axis1=1, axis2=2).mean() / 3
-    # Mean over random points of the cell, not its quadrature.
-    assert variance - CONSTANT_SD**2 == pytest.approx(H.signal_sd**2, rel=0.05)
 
 
 def test_chosen_hyperparameters_recover_a_dipole_room():

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import STENCIL_REACH, CellGrid
 
 LEAF_SIZE = 200
@@ -126,16 +125,14 @@ def _fronts(
     first = cell_positions.min(axis=1)
     by_first = np.argsort(first, kind="stable")
     cuts = np.searchsorted(first[by_first], starts)
-    mark, found = np.full(len(position), -1, dtype=np.int64), np.empty(len(position), dtype=np.int64)
-    constant = len(position) - 3 + np.arange(3)
     fronts: list[Front] = []
     for k, group in enumerate(groups):
         start, stop = int(starts[k]), int(starts[k] + len(group))
-        count = _collect(cell_positions, by_first[cuts[k] : cuts[k + 1]], stop, k, mark, found, 0)
-        below = [constant, *(fronts[c].border for c in children[k])]
-        for border in below:
-            count = _collect(border[None], np.zeros(1, dtype=np.int64), stop, k, mark, found, count)
-        border = np.sort(found[:count])
+        is_touched = np.zeros(len(position), dtype=np.bool_)
+        is_touched[-3:] = True  # the constant
+        for touched in (cell_positions[by_first[cuts[k] : cuts[k + 1]]], *(fronts[c].border for c in children[k])):
+            is_touched[touched] = True
+        border = stop + np.flatnonzero(is_touched[stop:])
         rows = tuple(_rows_of(fronts[c].border, start, stop, border) for c in children[k])
         unknowns = np.concatenate([unknown[start:stop], unknown[border]])
         fronts.append(Front(start, stop, border, children[k], rows, unknowns))
@@ -146,18 +143,3 @@ def _rows_of(positions: np.ndarray, start: int, stop: int, border: np.ndarray) -
     """Rows of a front at which positions lie."""
     later = (stop - start) + np.searchsorted(border, positions)
     return np.where(positions < stop, positions - start, later).astype(np.int64)
-
-
-@compiled
-def _collect(
-    lists: np.ndarray, chosen: np.ndarray, stop: int, stamp: int, mark: np.ndarray, found: np.ndarray, count: int
-) -> int:
-    """Append positions >= stop that were not yet seen by this front."""
-    for i in chosen:
-        for j in range(lists.shape[1]):
-            p = lists[i, j]
-            if p >= stop and mark[p] != stamp:
-                mark[p] = stamp
-                found[count] = p
-                count += 1
-    return count

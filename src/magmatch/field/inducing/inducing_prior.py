@@ -43,12 +43,13 @@ class InducingPrior:
     def __init__(
         self,
         name: str,
-        kernel: type[Kernel],
-        terms: tuple[Term, ...],
+        kernel_terms: tuple[Term, ...],  # the field's covariance
+        terms: tuple[Term, ...],  # what the weights of the inducing points stand for
         most: int,  # inducing points; more would make the spacing, and if need be the lengthscale, wider
         constant_sd: float = CONSTANT_SD,  # T; 0 for none, as published
     ) -> None:
-        self.name, self.kernel, self.terms, self.most, self.constant_sd = name, kernel, terms, most, constant_sd
+        self.name, self.kernel_terms, self.terms = name, kernel_terms, terms
+        self.most, self.constant_sd = most, constant_sd
 
     def choose_hyperparameters(self, points: Points, field: Vectors) -> Hyperparameters:
         """Numbers by restricted marginal likelihood, the lengthscale no smaller than the cap on nodes allows."""
@@ -112,4 +113,4 @@ class InducingPrior:
         return Hyperparameters(fit.scale, fit.signal_sd, fit.noise_sd, grid.spacing)
 
     def _unit_kernel(self, lengthscale: float) -> Kernel:
-        return self.kernel(lengthscale, 1.0)
+        return Kernel(self.kernel_terms, lengthscale)

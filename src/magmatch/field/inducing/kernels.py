@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import permutations, product
-from typing import ClassVar
 
 import numpy as np
 
@@ -48,14 +47,20 @@ def _alpha(axes: tuple[int, ...]) -> Alpha:
     return axes.count(0), axes.count(1), axes.count(2)
 
 
-# ``l^2/2 (grad grad^T - I lap)``: the divergence-free operator, scaled to unit variance.
-# On the diagonal d_a d_a - lap leaves minus the other two second derivatives.
+# ``l^2/2 (grad grad^T - I lap)``: the divergence-free operator, scaled to unit variance. On the diagonal d_a d_a -
+# lap leaves minus the other two second derivatives. With ``d = x - x'`` the kernel is
+# ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [(d/l)(d/l)^T + (2 - |d|^2/l^2) I]``, and ``signal_sd^2 = 2 sf^2/l^2``.
+# Wahlström, Kok, Schön, Gustafsson (2013), Modeling magnetic fields using Gaussian processes,
+# doi:10.1109/ICASSP.2013.6638313.
 DIVERGENCE_FREE = tuple(
     term
     for a, b in permutations(range(3), 2)
     for term in (Term(a, b, _alpha((a, b)), 0.5), Term(a, a, _alpha((b, b)), -0.5))
 )
-# ``-l^2 grad grad^T``: covariance of the gradient of a Gaussian potential, scaled to unit variance.
+# ``-l^2 grad grad^T``: covariance of the gradient of a Gaussian potential, scaled to unit variance. The kernel is
+# ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [I - (d/l)(d/l)^T]``, and ``signal_sd = sf / l``.
+# Solin, Kok, Wahlström, Schön, Särkkä (2018), Modeling and interpolation of the ambient magnetic field by Gaussian
+# processes, doi:10.1109/TRO.2018.2830326.
 CURL_FREE = tuple(Term(a, b, _alpha((a, b)), -1.0) for a, b in product(range(3), repeat=2))
 # ``-l grad``: the field of a potential that is itself the weights' Gaussian, one weight per node.
 GRADIENT = tuple(Term(a, 0, _alpha((a,)), -1.0) for a in range(3))
@@ -123,11 +128,11 @@ def stack_products(
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A second-order differential operator on the squared exponential; the parts of its subclasses."""
+    """A second-order differential operator on the squared exponential."""
 
+    terms: tuple[Term, ...]  # `DIVERGENCE_FREE` or `CURL_FREE`
     lengthscale: float  # m: l
-    signal_sd: float  # T: prior standard deviation of one component
-    terms: ClassVar[tuple[Term, ...]]
+    signal_sd: float = 1.0  # T: prior standard deviation of one component
 
     def __post_init__(self) -> None:
         if not (0 < self.lengthscale < np.inf and 0 < self.signal_sd < np.inf):
@@ -158,35 +163,3 @@ class Kernel:
         second = rows[12:].reshape(3, 3, 3, 3)
         out[3:, 3:] = -second.transpose(0, 1, 3, 2).reshape(9, 9)
         return out
-
-
-class DivergenceFreeKernel(Kernel):
-    """Divergence-free squared-exponential kernel.
-
-    ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [(d/l)(d/l)^T + (2 - |d|^2/l^2) I]``, ``d = x - x'``, which is
-    ``sf^2 (grad grad^T - I lap) k_SE``. One component has variance ``2 sf^2/l^2 = signal_sd^2``.
-
-    References
-    ----------
-    Wahlström, Kok, Schön, Gustafsson (2013), Modeling magnetic fields using Gaussian processes,
-    doi:10.1109/ICASSP.2013.6638313.
-    """
-
-    __slots__ = ()
-    terms = DIVERGENCE_FREE
-
-
-class CurlFreeKernel(Kernel):
-    """Curl-free squared-exponential kernel: minus the gradient of a Gaussian-process potential.
-
-    ``K(x, x') = sf^2/l^2 exp(-|d|^2/2l^2) [I - (d/l)(d/l)^T]``, ``d = x - x'``, ``-sf^2 grad grad^T k_SE``, with
-    ``signal_sd = sf / l``.
-
-    References
-    ----------
-    Solin, Kok, Wahlström, Schön, Särkkä (2018), Modeling and interpolation of the ambient magnetic field by Gaussian
-    processes, doi:10.1109/TRO.2018.2830326.
-    """
-
-    __slots__ = ()
-    terms = CURL_FREE

@@ -7,7 +7,7 @@ The default is a potential of cubic splines on cells near the data, smooth, with
 from magmatch.field.domain import Box
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.inducing_prior import InducingPrior
-from magmatch.field.inducing.kernels import DIVERGENCE_FREE, GRADIENT, CurlFreeKernel, DivergenceFreeKernel
+from magmatch.field.inducing.kernels import CURL_FREE, DIVERGENCE_FREE, GRADIENT
 from magmatch.field.linear_model import Prior, check_samples
 from magmatch.field.priors.harmonic import HarmonicPrior
 from magmatch.field.selection.spline_hyperparameters import choose_spline_hyperparameters
@@ -37,8 +37,8 @@ class SplinePrior:
 # Their cost grows with the cube of their weights: not every survey can afford them. The first is published; the
 # second, minus the gradient of a potential (Solin et al. 2018), has one weight an inducing point.
 DENSE_PRIORS: dict[str, InducingPrior | HarmonicPrior] = {
-    "divergence_free": InducingPrior("divergence_free", DivergenceFreeKernel, DIVERGENCE_FREE, MAX_INDUCING_POINTS),
-    "curl_free": InducingPrior("curl_free", CurlFreeKernel, GRADIENT, 3 * MAX_INDUCING_POINTS),
+    "divergence_free": InducingPrior("divergence_free", DIVERGENCE_FREE, DIVERGENCE_FREE, MAX_INDUCING_POINTS),
+    "curl_free": InducingPrior("curl_free", CURL_FREE, GRADIENT, 3 * MAX_INDUCING_POINTS),
     "harmonic": HarmonicPrior(),
 }
 PRIORS: dict[str, Prior] = {"spline": SplinePrior(), **DENSE_PRIORS}

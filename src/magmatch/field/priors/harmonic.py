@@ -21,7 +21,7 @@ from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.inducing.calibration import SMALLEST_SD
 from magmatch.field.inducing.inducing_model import InducingModel
 from magmatch.field.inducing.inducing_prior import MIN_SAMPLES, MOST_SAMPLES
-from magmatch.field.inducing.kernels import CurlFreeKernel
+from magmatch.field.inducing.kernels import CURL_FREE, Kernel
 from magmatch.field.inducing.marginal_likelihood import ScaleFit, tridiagonal, tridiagonal_score, walk_uphill
 from magmatch.field.linear_model import check_samples
 from magmatch.field.spline.spline_prior import CONSTANT_SD
@@ -101,7 +101,7 @@ class HarmonicPrior:
         factor = np.full(shell.n_weights + 3, h.noise_sd / (h.prior_scale * h.signal_sd))
         factor[-3:] = h.noise_sd / CONSTANT_SD
         return InducingModel(
-            h, shell, CurlFreeKernel(shell.distance, 1.0), CONSTANT_SD, factor, cKDTree(points),
+            h, shell, Kernel(CURL_FREE, shell.distance), CONSTANT_SD, factor, cKDTree(points),
             _KNOWN_RATIO * shell.distance, shell.inner,
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from magmatch.field.folds import COVERAGE, IN_SDS, folds_of, path_stretches
+from magmatch.field.folds import COVERAGE, FEWEST_SAMPLES, IN_SDS, folds_of, path_stretches
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.selection.evidence_climb import climb, rounded, settle
 from magmatch.field.selection.spline_evidence import EvidenceSearch
@@ -32,7 +32,6 @@ SHORT_PATH, LEAST_OPERATIONS, SHARE_OF_A_PATH, SHARE_OPERATIONS = 20_000, 3e9, 0
 # Where samples lie anywhere, the share of those operations that a smaller part takes.
 SMALLER_PART = 0.35
 FEWEST_OF_A_PART, MOST_SEARCHED, MOST_CUTS = 300, 50_000, 4
-FEWEST_SAMPLES = 40
 # Where all samples lie at one place, m.
 LONELY_LENGTHSCALE = 0.5
 # The search starts with spacing and lengthscale from the variogram, and a ratio of signal to noise and a divergence

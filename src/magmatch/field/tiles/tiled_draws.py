@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from magmatch.compiled import compiled
 from magmatch.field.cholesky.cells import CellGrid
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.spline.spline_kernels import right_hand_sides
@@ -59,7 +58,8 @@ def _noise(task: TileTask, seen: Indices, cells: CellGrid, seeds: range) -> np.n
     root, spread = _root(h), np.sqrt(cell_weights(cells.distance))[:, None]
     names, constant = _names(CELL, cells.cells + cells.first), _names(CONSTANT, np.zeros((1, 1), dtype=np.int64))
     for k, seed in enumerate(seeds):
-        scatter_add((normals(seed, names, 64) @ root) * spread, cells.cell_nodes, z[:, k])
+        drawn = (normals(seed, names, 64) @ root) * spread
+        z[:m, k] = np.bincount(cells.cell_nodes.ravel(), drawn.ravel(), m)
         z[m:, k] += h.noise_sd / CONSTANT_SD * normals(seed, constant, 3)[0]
     inside = slice(None) if task.tiling is None else task.tiling.is_inside(points, task.index)
     names = _names(SAMPLE, seen[inside, None])
@@ -99,11 +99,3 @@ def normals(seed: int, names: np.ndarray, count: int) -> np.ndarray:
     radius, angle = np.sqrt(-2 * np.log(u[:, 0::2])), 2 * np.pi * u[:, 1::2]
     both = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=2)
     return np.asarray(both.reshape(len(names), -1)[:, :count])
-
-
-@compiled
-def scatter_add(values: np.ndarray, cell_nodes: np.ndarray, out: np.ndarray) -> None:
-    """Add one value per cell and node of it to the nodes."""
-    for n in range(cell_nodes.shape[0]):
-        for a in range(cell_nodes.shape[1]):
-            out[cell_nodes[n, a]] += values[n, a]
