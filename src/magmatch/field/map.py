@@ -28,7 +28,7 @@ from magmatch.field.fit import fit_posterior
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.saved_map import MapFile, MapRecord
-from magmatch.field.sensor_biases import SensorBiases, biased_logs, no_biases, shared_errors, solve_biases
+from magmatch.field.sensor_biases import SensorBiases, biased_logs, shared_errors, solve_biases
 from magmatch.field.tiles.region_model import tiles_to_store
 from magmatch.field.values import FieldValues, GriddedField
 from magmatch.geometry import transform_points
@@ -301,10 +301,10 @@ class FieldMap:
         n_alike = shared_errors(self.posterior, self._fitted())
         new = [n + k for k in biased_logs(parts[n:])]
         found = solve_biases(grown.posterior, R_model_map, fitted, parts, new, spread, n_alike)
-        if known is None and found.spread == 0:
-            return None
-        known = no_biases(n, found.spread) if known is None else known
-        return known.joined(found.bias[n:], found.sd[n:])
+        if known is None:
+            return found if found.spread > 0 else None
+        rows = np.vstack([known.bias, found.bias[n:]]), np.vstack([known.sd, found.sd[n:]])
+        return SensorBiases(*rows, known.spread)
 
     def _refitted(
         self, parts: tuple[Survey, ...], fitted: Survey, stored: dict[Index, StoredTile], run: Workers | None

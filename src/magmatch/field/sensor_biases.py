@@ -70,10 +70,6 @@ class SensorBiases:
         rows = np.unique(np.repeat(np.arange(len(surveys)), [len(survey) for survey in surveys])[kept])
         return replace(self, bias=self.bias[rows], sd=self.sd[rows])
 
-    def joined(self, bias: Vectors, sd: Vectors) -> "SensorBiases":
-        """These, and then the biases of more surveys."""
-        return replace(self, bias=np.vstack([self.bias, bias]), sd=np.vstack([self.sd, sd]))
-
     @property
     def in_words(self) -> str:
         """How large they are."""

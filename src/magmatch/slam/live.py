@@ -12,7 +12,7 @@ from magmatch.data.checks import MAX_FIELD, jumps, require_survey, too_large
 from magmatch.data.survey import Survey
 from magmatch.estimation.path_noise import PRIOR_STRETCHES
 from magmatch.estimation.walk import BIN_LENGTH
-from magmatch.field.selection.spline_hyperparameters import FEWEST_SAMPLES
+from magmatch.field.folds import FEWEST_SAMPLES
 from magmatch.field.sensor_biases import without_bias
 from magmatch.geometry import path_moved
 from magmatch.number_text import told

@@ -26,8 +26,8 @@ log = logging.getLogger(__name__)
 # Least distance of charges from samples: in median distances of neighbours, beyond which chance leaves few holes, and
 # in distances of the layer. Holes as wide as the layer's distance hold charges of the layer itself.
 _DISTANCE_IN_NEIGHBOURS, _DISTANCES_IN_LAYERS = 2.4, (0.4, 0.8)
-# Spacing of the charges and size of their groups, in that distance.
-_STEP, _GROUP = 0.3, 1.0
+# Spacing of the charges, in that distance, which is also the size of their groups.
+_STEP = 0.3
 # Nearer to the layer's own charges than this, in its distances, nothing is added.
 _APART = 0.5
 # More charges, or a wider lattice to find them on, are not looked at.
@@ -141,7 +141,7 @@ def hole_charges(shell: SourceShell, points: Points) -> tuple[Points, Indices]:
     nodes = nodes[cKDTree(shell.sources).query(nodes)[0] > _APART * shell.distance]
     if not 0 < len(nodes) <= _MOST_CHARGES:
         return none
-    return np.ascontiguousarray(nodes), cube_numbers(nodes, _GROUP * distance)
+    return np.ascontiguousarray(nodes), cube_numbers(nodes, distance)
 
 
 def _lattice(points: Points, step: float) -> Points:

@@ -27,8 +27,8 @@ _AFFORDABLE_WIDENING = 1.3
 # Spacing of the inducing points over the lengthscale; docs/tried.md has figures. Closer nodes than the lesser add
 # nothing but rounding, whatever spacing is asked for.
 SPACING_RATIO, MIN_SPACING_RATIO = 0.7, 0.5
-# How far beyond the samples inducing points lie, and how near to a sample the field counts as known, in lengthscales.
-_REACH_RATIO, _KNOWN_RATIO = 1.0, 0.75
+# How near to a sample the field counts as known, in lengthscales.
+_KNOWN_RATIO = 0.75
 # Added to the diagonal of the inducing points' covariance, relative to the variance of one component.
 JITTER = 1e-9
 # Samples for choosing the hyperparameters.
@@ -100,10 +100,10 @@ class InducingPrior:
         )  # fmt: skip
 
     def _grid(self, points: Points, spacing: float, lengthscale: float | None) -> InducingGrid:
-        """Inducing points for a lengthscale, or for one in proportion to the spacing."""
+        """Inducing points as far as a lengthscale beyond the samples, or one in proportion to the spacing."""
 
         def reach_at(h: float) -> float:
-            return _REACH_RATIO * (h / SPACING_RATIO if lengthscale is None else lengthscale)
+            return h / SPACING_RATIO if lengthscale is None else lengthscale
 
         return lay_affordable_grid(points, spacing, reach_at, self.most)
 

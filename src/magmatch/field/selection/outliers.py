@@ -23,16 +23,16 @@ log = logging.getLogger(__name__)
 THRESHOLD = 6.0
 # In the same measure, a robust fit begins to doubt a sample here; its doubts settle in so many rounds.
 SOFT, ROUNDS = 3.0, 4
-# Doubtful samples count less only so near to a large residual, in lengthscales; how many are weighed together.
-NEARBY, MOST_TOGETHER = 1.0, 400
+# Doubtful samples count less only within a lengthscale of a large residual; how many are weighed together.
+MOST_TOGETHER = 400
 # The map's own noise may be larger than its residuals say, where it follows them closely; this much of it they are.
 LEAST_SHARE_OF_NOISE = 0.5
 # Residuals small relative to the field itself are harmless, however exact the rest.
 LEAST_SHARE_OF_SIGNAL = 0.01
 # The median length of a standard normal 3-vector.
 MEDIAN_LENGTH = 1.538
-# Neighbours asked, how far they may be (in spacings), and how many have to agree.
-N_NEIGHBOURS, FARTHEST, FEWEST_WITNESSES = 64, 1.0, 3
+# Neighbours asked, within a spacing, and how many have to agree.
+N_NEIGHBOURS, FEWEST_WITNESSES = 64, 3
 # Samples along a path count as one pass within so many times that distance.
 SAME_PASS = 5.0
 # A neighbour agrees that shows this share of the residual; of them, so many may, since they may be outliers too.
@@ -66,8 +66,7 @@ def find_outliers(samples: Survey, posterior: FieldPosterior) -> Mask:
         for rows in _doubtful(points, residual, is_large, noise, posterior):
             residual[rows] = robust_residuals(posterior, points[rows], residual[rows], noise)
         is_large = _sizes(residual) > THRESHOLD * noise
-        reach = FARTHEST * posterior.hyperparameters.spacing
-        is_out[is_large] = _are_denied(points, residual, is_large, reach)
+        is_out[is_large] = _are_denied(points, residual, is_large, posterior.hyperparameters.spacing)
         is_out[is_out] = ~_may_be_fine_structure(points[is_out], residual[is_out], posterior)
     if is_out.mean() > LARGEST_SHARE or is_large.mean() > 2 * LARGEST_SHARE:
         log.warning(
@@ -111,7 +110,7 @@ def _doubtful(
     """Samples in doubt around large residuals, in groups that bear on one another and are small enough."""
     doubtful = np.flatnonzero(_sizes(residual) > SOFT * noise)
     distance = cKDTree(points[is_large]).query(points[doubtful])[0]
-    return _halved(points, doubtful[distance <= NEARBY * posterior.hyperparameters.lengthscale])
+    return _halved(points, doubtful[distance <= posterior.hyperparameters.lengthscale])
 
 
 def _halved(points: Points, rows: Indices) -> list[Indices]:
