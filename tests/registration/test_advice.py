@@ -57,6 +57,17 @@ def test_a_field_that_is_the_same_everywhere_is_said_first():
     assert said.startswith("target: the field is constant (varies less than 1 nT): nothing tells places apart; prob")
 
 
+def test_heights_that_differ_are_told_where_they_were_stated_to_agree():
+    answer, up = RegistrationResult(Status.UNINFORMATIVE, "no pose to judge", None), np.array([0.0, 0.0, 3.0])
+    planar, level = PosePriorConfig(is_planar=True), {"base": FLAT, "target": FLAT}
+    apart = level | {"target": replace(FLAT, positions=FLAT.positions + up)}
+    said = with_advice(answer, apart, planar).reason
+    assert said.startswith(
+        "the surveys' heights differ by 3 m, and --planar has them agree: use --gravity-aligned; no"
+    )
+    assert with_advice(answer, apart, UPRIGHT).reason == with_advice(answer, level, planar).reason == answer.reason
+
+
 def test_two_flat_surveys_ask_whether_z_is_up_where_that_is_not_said():
     assert "--gravity-aligned" in asked(FLAT, FLAT)
     assert "both surveys are flat" in asked(FLAT, FLAT)

@@ -49,10 +49,17 @@ def diagnosis(surveys: Mapping[str, Survey]) -> str:
 
 
 def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
-    """In one clause, how the surveys' fields contradict that z is up in both; empty if they do not."""
+    """In one clause, how the surveys contradict what is stated of z in both; empty if they do not."""
     if len(surveys) < 2 or not (prior.is_gravity_aligned or prior.is_planar):
         return ""
-    return "; ".join(str(one) for one in of_verticals(*surveys.values()))
+    found = [str(one) for one in of_verticals(*surveys.values())]
+    (low, high), (other_low, other_high) = ((z.min(), z.max()) for z in (s.positions[:, 2] for s in surveys.values()))
+    apart = max(low - other_high, other_low - high)
+    if prior.is_planar and apart > 3 * prior.height_sd:
+        found.append(
+            f"the surveys' heights differ by {apart:.2g} m, and --planar has them agree: use --gravity-aligned"
+        )
+    return "; ".join(found)
 
 
 def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
