@@ -96,12 +96,29 @@ def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path)
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "-1,2"], "none below 0"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "robot:1,2"], "name of a log"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--planar", "--no-gravity"], "--no-gravity"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--g2o-rotation", "euler"], "one of quaternion, angle"),
         (["{logs}/walk.csv", "{logs}/short.csv", "--out", "{tmp}/out", "--trajectory", "p.tum"], "a single LOG"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--scheduler", "there"], "an address such as tcp://"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing(refused, logs, tmp_path, words, said):
     refused(["slam", *[word.format(logs=logs, tmp=tmp_path) for word in words]], said, tmp_path)
+
+
+@pytest.mark.parametrize("name", ["slam", "merge"])
+def test_the_graph_is_for_gtsam_where_that_is_asked_for(run, logs, place, tmp_path, name):
+    files = [logs / "short.csv"] if name == "slam" else [place / "base.csv", place / "target.csv"]
+    written = []
+    for tangent in ("quaternion", "angle"):
+        done = run(name, *files, "--g2o-rotation", tangent, "--out", tmp_path / tangent)
+        assert done.code in {0, 3}, done.err
+        lines = (tmp_path / tangent / "graph.g2o").read_text().splitlines()
+        written.append(np.array([line.split()[10:] for line in lines if line.startswith("EDGE")], float))
+    assert "--g2o-rotation angle" in (tmp_path / "angle" / "report.html").read_text()
+    # Translation, then rotation: upper triangles by rows. Twice as long an error has a quarter of the information.
+    scale = np.ones((6, 6))
+    scale[:3, 3:], scale[3:, 3:] = 2, 4
+    np.testing.assert_allclose(written[0], written[1] * scale[np.triu_indices(6)], rtol=1e-9)
 
 
 def test_surveys_are_merged_and_a_folder_of_other_inputs_is_refused(run, refused, place, logs, tmp_path):

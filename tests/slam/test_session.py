@@ -166,9 +166,10 @@ def test_names_are_stems_and_never_twice_the_same(lone):
     assert named("a/b/../c.csv", "", "walk_2", "walk.csv", "walk.mat") == ["c", "log", "walk_2", "walk", "walk_3"]
 
 
-def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path):
+@pytest.mark.parametrize("tangent", ["quaternion", "angle"])
+def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path, tangent):
     graph = lone.session.graph
-    write_graph(graph, tmp_path / "graph.g2o")
+    write_graph(graph, tmp_path / "graph.g2o", tangent)
     rows = [line.split() for line in (tmp_path / "graph.g2o").read_text().splitlines() if line[0] != "#"]
     vertices = {int(r[1]): np.array(r[2:], float) for r in rows if r[0] == "VERTEX_SE3:QUAT"}
     edges = [(int(r[1]), int(r[2]), np.array(r[3:], float)) for r in rows if r[0] == "EDGE_SE3:QUAT"]
@@ -182,7 +183,7 @@ def test_the_graph_read_as_g2o_is_the_graph(lone, tmp_path):
         assert (i, j) == (c.first, c.second)
         Z = RigidTransform.from_components(numbers[:3], Rotation.from_quat(numbers[3:7]))
         np.testing.assert_allclose(Z.as_matrix(), c.T_first_second.as_matrix(), atol=1e-12)
-        stated = counts * g2o_information(c.covariance)[np.triu_indices(6)]
+        stated = counts * g2o_information(c.covariance, tangent)[np.triu_indices(6)]
         np.testing.assert_allclose(numbers[7:], stated, rtol=1e-4, atol=1e-6 * np.abs(stated).max())
 
 

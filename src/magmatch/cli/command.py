@@ -109,6 +109,9 @@ COMMON: dict[str, Any] = {"verbose": Verbose, "debug": Debug}
 # Options that several commands have alike.
 JSON = typer.Option(False, "--json", help="Print the result as JSON on stdout.")
 PLANAR = typer.Option(False, "--planar", help="All poses lie on one floor. Detected if the poses show it.")
+G2O_ROTATION = typer.Option(
+    "quaternion", help="Convention of a g2o edge's rotation information: quaternion (g2o) or angle (GTSAM, Ceres)."
+)
 RERUN = typer.Option(None, help="Write a recording for the Rerun viewer here (.rrd).")
 SEED = typer.Option(0, help="Same input, settings and seed give the same answer.", min=0)
 

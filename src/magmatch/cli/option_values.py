@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NoReturn
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from magmatch.registration.g2o import RotationTangent
     from magmatch.workers import DaskRunner
 
 
@@ -28,6 +29,12 @@ def one_of(option: str, value: str, known: Iterable[str]) -> str:
     if value not in known:
         refuse(option, f"one of {', '.join(known)}", value)
     return value
+
+
+def rotation_tangent(value: str) -> "RotationTangent":
+    """Convention that ``--g2o-rotation`` names."""
+    named: dict[str, RotationTangent] = {"quaternion": "quaternion", "angle": "angle"}
+    return named[one_of("--g2o-rotation", value, named)]
 
 
 def vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:

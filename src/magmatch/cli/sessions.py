@@ -12,6 +12,7 @@ from magmatch.number_text import told
 
 if TYPE_CHECKING:
     from magmatch.data.trajectory import Trajectory
+    from magmatch.registration.g2o import RotationTangent
     from magmatch.slam.result import SlamResult
     from magmatch.slam.session import Session
 
@@ -21,6 +22,7 @@ def deliver(
     out: Path,
     again: str,
     poses: "Sequence[Trajectory | None]",
+    g2o_rotation: "RotationTangent",
     *,
     json: bool,
     rerun: Path | None = None,
@@ -31,13 +33,16 @@ def deliver(
     from magmatch.slam.output.folder import REPORT, write_folder
     from magmatch.viz.pages.session_page import write_session_report
 
+    if g2o_rotation != "quaternion":
+        again += f" --g2o-rotation {g2o_rotation}"
+
     def write_report(session: "Session", result: "SlamResult", path: Path) -> None:
         try:
             write_session_report(path, session, result, again)
         except MissingExtraError as error:
             say(f"warning: no {REPORT}: {error}")
 
-    result = write_folder(session, out, write_report, poses)
+    result = write_folder(session, out, write_report, poses, g2o_rotation)
     if rerun is not None:
         from magmatch.viz.rerun_recording import write_session_rerun
 

@@ -14,6 +14,7 @@ from magmatch.data.trajectory import Trajectory
 from magmatch.errors import DataFormatError
 from magmatch.field.sensor_biases import without_bias
 from magmatch.registration.clock import Clock
+from magmatch.registration.g2o import RotationTangent
 from magmatch.slam.graph.trajectories import corrected_poses
 from magmatch.slam.output.graph_files import write_covariances, write_graph
 from magmatch.slam.output.kept_session import SESSION, write_session
@@ -31,6 +32,7 @@ def write_folder(
     folder: str | Path,
     report: WriteReport | None = None,
     poses: Sequence[Trajectory | None] | None = None,
+    g2o_rotation: RotationTangent = "quaternion",
 ) -> SlamResult:
     """Write trajectories, surveys, maps, graph and result.
 
@@ -45,6 +47,8 @@ def write_folder(
         Writes the report.
     poses : sequence of Trajectory or None, optional
         Each log's own poses, where they have other times than its samples.
+    g2o_rotation : str
+        Convention of the rotation information in ``graph.g2o``: "quaternion" (g2o) or "angle" (GTSAM, Ceres).
 
     Returns
     -------
@@ -63,6 +67,7 @@ def write_folder(
     beside = unfinished(folder) / f"files-{secrets.token_hex(4)}"
     beside.mkdir(parents=True)
     try:
+        write_graph(session.graph, beside / GRAPH, g2o_rotation)
         result = _write(session, beside, report, poses or [None] * len(session.given))
         _move(beside, folder)
         shutil.rmtree(beside.parent, ignore_errors=True)
@@ -128,7 +133,6 @@ def _write(
         survey.save(folder / f"{name}.csv")
         if (there := corrected_poses(path, session.graph, own)) is not None:
             there.save(folder / f"{name}.tum")
-    write_graph(session.graph, folder / GRAPH)
     write_covariances(session, folder / COVARIANCES)
     write_session(session, folder / SESSION)
     result = session.result()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from magmatch.data.tables.table import write_table
 from magmatch.geometry import adjoint
 from magmatch.number_text import exact
-from magmatch.registration.g2o import Edge, write_pose_graph
+from magmatch.registration.g2o import Edge, RotationTangent, write_pose_graph
 from magmatch.slam.graph.block_cholesky import SIDE
 from magmatch.slam.graph.factors import FixedPoints
 from magmatch.slam.graph.normal_equations import shared
@@ -46,12 +46,12 @@ def write_covariances(session: Session, path: Path) -> None:
     write_table(path, columns | dict(zip(COLUMNS, np.array(numbers).T, strict=True)))
 
 
-def write_graph(graph: PoseGraph, path: str | Path) -> None:
+def write_graph(graph: PoseGraph, path: str | Path, tangent: RotationTangent = "quaternion") -> None:
     """Write all nodes as vertices, and odometry and closures as edges.
 
-    Information is of (translation, quaternion's vector part) of ``Z^-1 T_true``; that of a closure is multiplied by
-    how much of it would count without submaps, which have no form in g2o. Unconnected logs share no frame, but their
-    vertices are in the same file. Fixed points are vertices after the nodes.
+    Information is of ``Z^-1 T_true``, translation first (``tangent``: see `g2o_information`); that of a closure is
+    multiplied by how much of it would count without submaps, which have no form in g2o. Unconnected logs share no
+    frame, but their vertices are in the same file. Fixed points are vertices after the nodes.
     """
     vertices = [graph.pose(k) for k in range(len(graph.p))]
     # Odometry keeps its axes from node to node: errors in the first's are errors in the second's.
@@ -64,7 +64,7 @@ def write_graph(graph: PoseGraph, path: str | Path) -> None:
     if graph.fixed is not None:
         vertices += [RigidTransform.from_translation(a) for a in graph.fixed.position]
         edges += _to_fixed(graph, graph.fixed)
-    write_pose_graph(path, vertices, edges)
+    write_pose_graph(path, vertices, edges, tangent)
 
 
 def _to_fixed(graph: PoseGraph, fixed: FixedPoints) -> Iterator[Edge]:
