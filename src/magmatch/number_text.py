@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Numbers as text: to the last bit in files, and with the digits that tell them apart in messages."""
 
-from math import ceil, isfinite, log10
+from math import ceil, degrees, isfinite, log10
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -47,6 +47,18 @@ def chance(probability: float) -> str:
     if probability < 0.001:
         return "below 0.001"
     return "above 0.999" if probability > 0.999 else f"{probability:.3f}"
+
+
+def deviations(turn: float, shift: float) -> str:
+    """Standard deviations of a rotation (rad) and a position (m), with two digits.
+
+    Examples
+    --------
+    >>> deviations(0.001365, 0.00201), deviations(0.2, 1.234)
+    ('0.078 deg, 2.0 mm', '11 deg, 1234 mm')
+    """
+    turn_text, shift_text = (f"{x:.0f}" if x >= 9.95 else f"{x:#.2g}" for x in (degrees(turn), 1e3 * shift))
+    return f"{turn_text} deg, {shift_text} mm"
 
 
 def many(n: int, what: str) -> str:

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the program says of a result."""
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from magmatch.cli.registering import tell_result
 from magmatch.cli.sessions import tell
@@ -18,6 +20,21 @@ def test_a_probability_is_never_rounded_to_certainty(probability, words):
         status=Status.INCONSISTENT, reason="nothing fits", T_base_target=None, probability=probability
     )
     assert f"probability {words}," in tell_result(result)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_mm", "words"),
+    [(0.0782, 2.01, "0.078 deg, 2.0 mm"), (0.996, 9.96, "1.0 deg, 10 mm"), (12.3, 1234, "12 deg, 1234 mm")],
+)
+def test_terminal_and_report_say_the_same_standard_deviations(tmp_path, turn_deg, shift_mm, words):
+    pytest.importorskip("plotly", reason="the report is drawn with the extra 'viz'")
+    from magmatch.viz.pages.registration_page import write_report
+
+    sd = np.repeat([np.deg2rad(turn_deg), shift_mm / 1e3], 3) / np.sqrt(3)
+    result = RegistrationResult(Status.ACCEPTED, "fits", RigidTransform.identity(), covariance=np.diag(sd**2))
+    write_report(tmp_path / "report.html", None, None, result)
+    for said in (tell_result(result), (tmp_path / "report.html").read_text()):
+        assert f"; sd {words} where the data constrain it best" in said
 
 
 def passed(*off_and_sd_without):

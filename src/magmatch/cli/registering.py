@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from magmatch.cli import STARTED
-from magmatch.number_text import chance, many
+from magmatch.number_text import chance, deviations, many
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
@@ -62,8 +62,7 @@ def _motion(T: "RigidTransform", sd: tuple[float, float] | None) -> str:
 
     text = f"turned by {np.rad2deg(T.rotation.magnitude()):.2f} deg, moved by {np.linalg.norm(T.translation):.3f} m"
     if sd is not None:
-        turn, shift = sd
-        text += f"; sd {np.rad2deg(turn):.2f} deg, {1e3 * shift:.1f} mm where the target lies"
+        text += f"; sd {deviations(*sd)} where the data constrain it best"
     return text
 
 

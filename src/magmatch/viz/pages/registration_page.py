@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from magmatch.data.survey import Survey, has_order
 from magmatch.field.map import FieldMap
-from magmatch.number_text import chance
+from magmatch.number_text import chance, deviations
 from magmatch.published.config import PublishedConfig
 from magmatch.registration.maps import survey_of
 from magmatch.registration.result import RegistrationResult, Sensor
@@ -162,7 +162,7 @@ def _answer_words(result: RegistrationResult) -> str:
         return ""
     words = f"Turned by {turn_words(T)}, moved by {length_text(float(np.linalg.norm(T.translation)))}"
     if (sd := result.standard_deviations) is not None:
-        words += f"; sd {angle_text(sd[0])}, {length_text(sd[1])}"
+        words += f"; sd {deviations(*sd)} where the data constrain it best"
     return words
 
 
