@@ -172,7 +172,8 @@ class Session:
     def finish(self, name: str = "live", *, progress: Progress | None = None) -> None:
         """End the live log, and replace its result by that of the whole log.
 
-        If the session has no other logs, this is bit for bit the result of `slam`; otherwise that of `add_log`.
+        If the session has no other logs, this is the result of `slam` for its samples, whose fields were turned into
+        odometry's axes, which rounds them; otherwise that of `add_log`.
         """
         if self._live is None:
             return
