@@ -33,12 +33,14 @@ def test_replay_sends_the_log_as_its_options_say(tmp_path, monkeypatch, capfd):
     rows = [f"{t},{1000 * t},0,0,0,0,0,1,18,3,-45\n" for t in range(30)]
     log.write_text("t,x,y,z,qx,qy,qz,qw,bx,by,bz\n" + "".join(rows))
 
-    def take(survey, *_, **__):
+    def take(survey, *_, on_pose, **__):
         sent.append(survey)
-        return Replayed(np.empty(0), None, 0, 0)
+        on_pose({"status": "searching", "t": 29.0, "reason": "no place fits: z is not up (--no-gravity)"})
+        return Replayed(np.empty(0), None, 1, 0)
 
     monkeypatch.setattr("magmatch_serve.replay.replay", take)
     words = ["replay", str(log), "--url", "http://127.0.0.1:1", "--field-unit", "uT", "--length-unit", "mm"]
-    assert main(words) == 3, capfd.readouterr().err  # no pose came back
+    assert main(words) == 3  # no pose came back
+    assert "1 answers, 0 with a pose: no place fits: z is not up (--no-gravity)\n" in capfd.readouterr().err
     np.testing.assert_allclose(sent[0].field, np.tile([18e-6, 3e-6, -45e-6], (30, 1)))
     np.testing.assert_allclose(sent[0].positions[-1], [29.0, 0.0, 0.0])

@@ -46,10 +46,11 @@ def replay(
         refuse("--speed", "a number above 0", str(speed))
     check_outputs((out,), inputs=(log,))
     token = None if token_file is None else read_token(token_file)
-    status = ""
+    status = reason = ""
 
     def follow(said: dict[str, Any]) -> None:
-        nonlocal status
+        nonlocal status, reason
+        reason = said["reason"]
         if said["status"] != status:
             status = said["status"]
             say(f"{said['t']:.2f} s  {status.replace('_', ' ')}")
@@ -57,14 +58,15 @@ def replay(
     found = run(
         open_walk(log, layouts.of(), with_points=False).survey(say), url, speed=speed, token=token, on_pose=follow
     )
-    say(tell(found))
+    say(tell(found, reason))
     if out is not None:
         write_poses(out, found.times, found.poses)
         say(f"Wrote {out}")
     return DONE if found.poses is not None else NOT_ACCEPTED
 
 
-def tell(found: "Replayed") -> str:
-    """Summarise the answers in a line."""
+def tell(found: "Replayed", reason: str) -> str:
+    """Summarise the answers in a line, with the last one's reason where none had a pose."""
     refused = f", {found.n_errors} samples refused" if found.n_errors else ""
-    return f"{found.n_answers} answers, {len(found.times)} with a pose{refused}"
+    why = f": {reason}" if found.poses is None and reason else ""
+    return f"{found.n_answers} answers, {len(found.times)} with a pose{refused}{why}"
