@@ -31,6 +31,14 @@ def test_a_loop_walked_again_on_its_own_track_is_a_path():
     assert has_order(survey(np.concatenate([loop, 1.002 * loop, 0.998 * loop])))
 
 
+def test_the_way_from_one_log_to_the_next_is_no_part_of_a_maps_path(lanes):
+    logs = [survey(lanes[:60]), survey(lanes[600:660])]
+    assert describe(logs[0].merged(logs[1]), parts=logs)["path_length"] == pytest.approx(5 + 5)
+    logs.append(survey(np.random.default_rng(1).permutation(lanes)))
+    facts = describe(logs[0].merged(*logs[1:]), parts=logs)
+    assert (facts["ordered"], facts["path_length"], facts["median_step"]) == (False, None, None)
+
+
 def test_samples_in_no_order_have_none(lanes):
     shuffled = survey(np.random.default_rng(1).permutation(lanes))
     assert not has_order(shuffled)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The content of a survey, in plain numbers and words for a reader."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,18 @@ from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey, has_order
 
 
-def describe(survey: Survey, layout: SurveyFormat | None = None) -> dict[str, Any]:
+def describe(survey: Survey, layout: SurveyFormat | None = None, parts: Sequence[Survey] = ()) -> dict[str, Any]:
     """Counts, extent, units, frames, gaps and warnings of a survey, ready for JSON.
 
-    ``time`` is None without times; ``path_length`` and ``median_step`` are None where the rows are not a path.
+    ``time`` is None without times; ``path_length`` and ``median_step`` are None where the rows are not a path. The
+    way from one of the ``parts``, surveys that were joined to this one, to the next belongs to no path.
     """
     warnings = check_survey(survey, layout)
     magnitude = np.linalg.norm(survey.field, axis=1)
     # Of rows in no order a path length would be a number without meaning.
-    is_ordered = has_order(survey)
-    steps = np.linalg.norm(np.diff(survey.positions, axis=0), axis=1)
+    paths = parts or (survey,)
+    is_ordered = all(map(has_order, paths))
+    steps = np.concatenate([np.linalg.norm(np.diff(path.positions, axis=0), axis=1) for path in paths])
     return {
         "name": survey.name,
         "samples": len(survey),

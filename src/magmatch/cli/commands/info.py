@@ -98,7 +98,7 @@ def _of_map(path: Path, _: "SurveyFormat") -> dict[str, Any]:
         facts["left_out_error"] = field_map.config.comparison
     if field_map.biases is not None:
         facts |= field_map.biases.facts(field_map.surveys)
-    return facts | {"hyperparameters": numbers} | describe(field_map.survey)
+    return facts | {"hyperparameters": numbers} | describe(field_map.survey, parts=field_map.surveys)
 
 
 def _of_trajectory(path: Path, layout: "SurveyFormat") -> dict[str, Any]:
