@@ -241,6 +241,7 @@ def test_a_log_of_another_place_is_said_to_be_tied_to_none(run, logs, tmp_path):
     drifting_walk(Place(9), 3, laps=0.7)[0].save(tmp_path / "far.csv")
     done = run("slam", logs / "short.csv", tmp_path / "far.csv", "--out", tmp_path / "out")
     assert done.code == 3, done.err
+    assert "--no-gravity" not in done.err  # all poses are upright, at one height
     result = SlamResult.load(tmp_path / "out" / "result.json")
     assert [log.T_map_log for log in result.logs] == [None, None]
     assert (tmp_path / "out" / "map_2.map").is_file()

@@ -27,6 +27,7 @@ from magmatch.slam.output.graph_files import write_covariances, write_graph
 from magmatch.slam.places import settled
 from magmatch.slam.result import SlamStatus
 from magmatch.slam.search.loop_closure import Candidate, Match
+from magmatch.slam.statement import explain
 
 KEYS = [
     "schema", "status", "reason", "logs", "closures", "anchors", "odometry", "seconds", "config", "version", "seed",
@@ -156,6 +157,20 @@ def test_a_writer_that_fails_leaves_nothing(lone, tmp_path):
     with pytest.raises(OSError, match="disk full"):
         write_folder(lone.session, tmp_path / "out", fail)
     assert not list(tmp_path.iterdir())
+
+
+def test_logs_that_nothing_connects_may_be_tilted(three):
+    places = three.session.places
+    names, apart = three.session.names, [[0, 1], [2]]
+
+    def said(status, **settings):
+        stated = replace(places, stated=places.stated.model_copy(update=settings))
+        return explain(status, stated, apart, names)
+
+    for status in (SlamStatus.UNCHANGED, SlamStatus.PARTLY_CONNECTED):
+        assert "if z is not up in all logs, say --no-gravity" in said(status, is_planar=False)
+        assert "--no-gravity" not in said(status, is_planar=True)
+        assert "--no-gravity" not in said(status, is_planar=False, is_gravity_aligned=False)
 
 
 def test_names_are_stems_and_never_twice_the_same(lone):

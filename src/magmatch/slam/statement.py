@@ -92,6 +92,7 @@ def explain(status: SlamStatus, places: Places, components: Sequence[Sequence[in
         frames = [f"{many(n, 'log')} in {len(components)} frames of their own"]
         if alone := [names[group[0]] for group in components if len(group) == 1]:
             frames.append(f"connected to no other: {_some(alone)}")
+        frames += _if_tilted(places)
     return "; ".join([found, *frames, *_doubts(places, names)])
 
 
@@ -109,7 +110,13 @@ def _why_unchanged(places: Places, found: str) -> str:
     advice = "pass some stretches twice, a few correlation lengths each"
     if places.is_rigid:
         advice = "survey a common region; magmatch register says of each pair what it lacks"
-    return f"{what} ({found}); {advice}"
+    return "; ".join([f"{what} ({found})", advice, *_if_tilted(places)])
+
+
+def _if_tilted(places: Places) -> list[str]:
+    """What would keep logs apart whose frames are tilted, unless z is not taken for up, or poses show that it is."""
+    is_up = places.stated.is_gravity_aligned and not places.stated.is_planar
+    return ["if z is not up in all logs, say --no-gravity"] if is_up and len(places.paths) > 1 else []
 
 
 def _doubts(places: Places, names: Sequence[str]) -> Iterator[str]:
