@@ -25,6 +25,14 @@ def test_maps_become_grids(ending, place, run, tmp_path):
     assert "x 1 points, 0.5 m apart" in outcome.err
 
 
+def test_a_slice_of_which_the_map_knows_nothing_is_written_with_a_warning(place, run, tmp_path):
+    outcome = run("convert", place / "base.map", tmp_path / "out.vtk", "--spacing", 0.5, "--slice", "z=30")
+    assert outcome.code == 0, outcome.err
+    z = read_survey(place / "base.csv").positions[:, 2]
+    between = f"between {z.min():.2f} and {z.max():.2f} m"
+    assert f"warning: --slice: expected z {between}, where the samples are; found 30: the map knows" in outcome.err
+
+
 @pytest.mark.parametrize("ending", ["tum", "g2o", "yaml"])
 def test_results_become_poses(ending, place, run, tmp_path):
     outcome = run("convert", place / "result.json", tmp_path / f"out.{ending}", "--frames", "map,monday")

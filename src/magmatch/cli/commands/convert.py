@@ -67,7 +67,8 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
     from magmatch.field.axis_grid import map_on_grid, write_netcdf, write_ply_cloud, write_vtk
 
     field_map = read_map(source)
-    grid = map_on_grid(field_map, spacing, None if cut is None else parse_slice(cut))
+    chosen = None if cut is None else parse_slice(cut)
+    grid = map_on_grid(field_map, spacing, chosen)
     if suffix == ".nc":
         write_netcdf(grid, out, field_map.survey.frame)
     else:
@@ -75,6 +76,11 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
     n_known = int(grid.is_known.sum())
     size = " x ".join(str(len(axis)) for axis in grid.axes)
     say(f"Grid of {size} points, {grid.spacing:.4g} m apart; the map knows the field at {n_known} of them")
+    if chosen is not None and not n_known:
+        axis, at = chosen
+        along = field_map.survey.positions[:, "xyz".index(axis)]
+        between = f"{axis} between {along.min():.2f} and {along.max():.2f} m"
+        say(f"warning: --slice: expected {between}, where the samples are; found {at:g}: the map knows nothing there")
 
 
 def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:
