@@ -29,6 +29,13 @@ def test_a_placeholder_in_the_help_keeps_its_capitals(run):
     assert "lATITUDE" not in shown
 
 
+@pytest.mark.parametrize(("typed", "near"), [("--bogus", None), ("--reprot", "--report"), ("--max-std", "--max-sd")])
+def test_only_options_that_are_near_are_proposed_for_one_that_is_not_there(typed, near, refused):
+    said = refused(["register", "a.csv", "b.csv", typed], f"No such option: {typed}")
+    assert ("Possible options" in said) == (near is not None)
+    assert near is None or near in said
+
+
 def test_help_names_every_command_and_exit_code_and_no_command_shows_it(run):
     outcome = run("--help")
     assert outcome.code == 0

@@ -6,6 +6,8 @@ import os
 import sys
 import traceback
 from collections.abc import Callable
+from difflib import get_close_matches
+from typing import Any
 
 import typer
 
@@ -85,8 +87,13 @@ def _interrupted(narrator: Narrator) -> int:
     return INTERRUPTED
 
 
-def _explain_usage(error: Exception) -> str:
+def _explain_usage(error: Any) -> str:
     """Typer's message, and where to read on."""
-    message: str = error.format_message()  # type: ignore[attr-defined]
+    typed, guesses = getattr(error, "option_name", None), getattr(error, "possibilities", None)
+    if typed and guesses:
+        # Typer compares them with their dashes, which all options share.
+        near = get_close_matches(typed.strip("-"), [guess.strip("-") for guess in guesses])
+        error.possibilities = [f"--{name}" for name in near]
+    message: str = error.format_message()
     command = getattr(getattr(error, "ctx", None), "command_path", "magmatch")
     return f"{message.rstrip('.')} (see '{command} --help')"
