@@ -108,7 +108,7 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an e
 COMMON: dict[str, Any] = {"verbose": Verbose, "debug": Debug}
 # Options that several commands have alike.
 JSON = typer.Option(False, "--json", help="Print the result as JSON on stdout.")
-PLANAR = typer.Option(False, "--planar", help="All poses lie on one floor. Detected if the poses show it.")
+PLANAR = typer.Option(False, "--planar", help="z is up, and all poses lie at one height. Detected if they show it.")
 G2O_ROTATION = typer.Option(
     "quaternion", help="Convention of a g2o edge's rotation information: quaternion (g2o) or angle (GTSAM, Ceres)."
 )

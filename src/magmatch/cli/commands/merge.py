@@ -28,7 +28,7 @@ def merge(
     ),
     out: Path = Option(..., help="Folder for surveys, maps, graph, report and result."),
     gravity_aligned: bool = Option(False, "--gravity-aligned", help="z points up in all surveys."),
-    planar: bool = Option(False, "--planar", help="As --gravity-aligned, with a common height."),
+    planar: bool = Option(False, "--planar", help="As --gravity-aligned, and all frames agree in height."),
     config: Path | None = Option(None, help="YAML file of registration settings, or an earlier result."),
     jobs: int = Option(1, min=1, help="Processes that register pairs."),
     scheduler: str | None = Option(None, help="Dask scheduler whose workers do so instead, tcp://HOST:PORT."),

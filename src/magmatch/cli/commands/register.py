@@ -59,7 +59,7 @@ def register(
         False, "--gravity-aligned", help="z points up in both surveys: search position and heading only."
     ),
     planar: bool = Option(
-        False, "--planar", help="As --gravity-aligned, with a common height: search x, y and heading only."
+        False, "--planar", help="As --gravity-aligned, and both frames agree in height: search x, y and heading only."
     ),
     gravity_sd: float | None = Option(
         None, help="Accuracy of the vertical, degrees.  [default: 0.57]", min=0.001, max=45

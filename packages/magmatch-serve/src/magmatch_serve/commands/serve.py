@@ -43,7 +43,7 @@ def serve(
         typer.Option(help="Number of processes for whole logs, or a Dask cluster: dask://SCHEDULER."),
     ] = None,
     foxglove: Annotated[int | None, typer.Option(help="Port for Foxglove on this machine.")] = None,
-    planar: Annotated[bool, typer.Option("--planar", help="All poses lie on one floor.")] = False,
+    planar: Annotated[bool, typer.Option("--planar", help="z is up, and all poses lie at one height.")] = False,
     no_gravity: Annotated[bool, typer.Option("--no-gravity", help="z of map and odometry is not up.")] = False,
     config: Annotated[
         Path | None, typer.Option(help="YAML file of settings: limits, and those of the localizer.")

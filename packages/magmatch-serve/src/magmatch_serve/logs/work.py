@@ -64,7 +64,7 @@ class WhereOfLog(LogQuestion):
     """The questions about a log that is localized."""
 
     live: bool = Field(default=False, description="As it was known live, instead of with hindsight.")
-    planar: bool = Field(default=False, description="All poses lie on one floor.")
+    planar: bool = Field(default=False, description="z is up, and all poses lie at one height.")
     no_gravity: bool = Field(default=False, description="z of the log is not up.")
 
 
@@ -72,7 +72,7 @@ class PoseOfLog(LogQuestion):
     """The questions about a log that is registered."""
 
     gravity_aligned: bool = Field(default=False, description="z points up in the log and in the map.")
-    planar: bool = Field(default=False, description="As gravity_aligned, with a common height.")
+    planar: bool = Field(default=False, description="As gravity_aligned, and both frames agree in height.")
     seed: int = Field(default=0, ge=0, lt=2**32, description="Same log and map: same answer.")
 
 
