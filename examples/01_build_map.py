@@ -25,7 +25,7 @@ def main(path: str | None = None) -> None:
     sd = np.sqrt(np.diagonal(field_map.covariance(p), axis1=1, axis2=2))
     for point, b, s, known in zip(p, field, sd, field_map.knows(p), strict=True):
         words = "known" if known else "not known: the prior's spread"
-        print(f"at {point.round(2)} m: B = {(1e6 * b).round(1)} uT +- {(1e6 * s).round(1)} uT ({words})")
+        print(f"at {point.round(2)} m: B = {(1e6 * b).round(1)} uT +- {(1e6 * s).round(2)} uT ({words})")
 
     with TemporaryDirectory() as folder:
         saved = Path(folder) / "office.map"
