@@ -50,7 +50,8 @@ def slam(
     no_gravity: bool = Option(False, "--no-gravity", help="z of the logs is not up."),
     anchors: Path | None = Option(
         None,
-        help="Known positions of logs at given times: a table log,t,x,y,z,sd, always in s and m; or lat,lon for x,y.",
+        help="Known positions of logs at given times: a table log,t,x,y,z,sd, always in s (or dates) and m; or "
+        "lat,lon for x,y.",
     ),
     no_waypoints: bool = Option(
         False, "--no-waypoints", help="Do not use surveyed points that a phone's log holds itself."

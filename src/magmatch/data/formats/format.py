@@ -49,7 +49,8 @@ class SurveyFormat(Settings):
     )
     trajectory: Path | None = Field(
         default=None,
-        description="Take the poses from this TUM (t x y z qx qy qz qw) or EuRoC file, interpolated in time.",
+        description="Take the poses from this file, interpolated in time: TUM (t x y z qx qy qz qw), EuRoC, Motive, "
+        "or a table whose header names these columns.",
     )
     trajectory_time_unit: TimeUnit = Field(
         default="s", description="Unit of the times in the TUM file of --trajectory."
