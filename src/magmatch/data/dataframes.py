@@ -58,7 +58,7 @@ def table_of_frame(df: Any, name: str, time_unit: TimeUnit, theirs: Mapping[str,
 
 
 def level_of_dates(levels: Sequence[Any], left_out: Sequence[str], path: str | Path) -> int | None:
-    """Which level of an index, none named t, holds increasing dates; a warning names others that may be times."""
+    """Number of the index level, none named t, that holds increasing dates; warnings name others that may be."""
     for k, level in enumerate(levels):
         kind = getattr(level.dtype, "kind", "")
         if kind == "M" and (np.diff(seconds_of_dates(level)) > 0).all():

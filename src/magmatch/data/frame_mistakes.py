@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which mistake turned a survey's vectors: every known one is undone, and the scatter that is left is compared.
+"""The mistake that turned a survey's vectors is found: each known one is undone, and what scatter is left compared.
 
 A hypothesis is a convention (which rotations turned which readings) and the sensor's axes. The vectors are linear in
 the nine numbers of a matrix of axes, so one Gram matrix gives the scatter of every permutation and sign, and of every

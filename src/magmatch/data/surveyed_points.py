@@ -70,9 +70,9 @@ class SurveyedPoints:
 
 
 def mirrored_misfits(places: Matrix, walked: Matrix) -> tuple[float, float] | None:
-    """How far points of a plan, (n, 2), lie from where a path passed them, (n, 2), and mirrored ones; all in m.
+    """Distances of points of a plan, (n, 2), as given and mirrored, from where a path passed them, (n, 2); m.
 
-    Each is the rms distance once turned and shifted to fit; None unless the mirror image fits by far better.
+    Each is rms, once the points are turned and shifted to fit; None unless the mirror image fits by far better.
     """
     if len(places) < ENOUGH_FOR_A_PLAN:
         return None

@@ -97,7 +97,7 @@ class Predictor:
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """The kind of predictor in a few words."""
         return f"prior '{self.name}' of this package" if self.predict is None else "what one would use instead"
 
     def __call__(self, held_out: HeldOut) -> tuple[float, float, float]:
@@ -122,7 +122,7 @@ class Predictor:
 
 
 def read_beside(field_map: FieldMap, rest: Survey | None) -> Vectors:
-    """What the sensor of a map's only log reads beside the field, T: a map holds no bias, and readings do."""
+    """Bias of the sensor of a map's only log, T: readings hold it, and the map does not."""
     if rest is None or field_map.biases is None:
         return np.zeros(3)
     (unbiased,) = field_map.biases.without([rest])

@@ -94,7 +94,7 @@ def chosen_methods(names: str | None) -> dict[str, Method]:
 
 
 def _missing_recordings(datasets: set[str], folder: Path) -> dict[str | None, str]:
-    """Why which recordings cannot be used here."""
+    """Recordings that cannot be used here, each with the reason."""
     missing = dict[str | None, str]()
     for name in sorted(datasets):
         try:

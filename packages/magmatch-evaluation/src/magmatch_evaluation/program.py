@@ -92,7 +92,7 @@ def evaluate(
 
 
 def _savers(experiments: "Sequence[Experiment]") -> "dict[str, Saver]":
-    """What saves each table; that it cannot be saved is said before the work."""
+    """One saver per table; a table that cannot be saved is refused before the work."""
     from magmatch_evaluation.findings import BEHIND, COSTS
     from magmatch_evaluation.saved_table import saver
 

@@ -138,7 +138,7 @@ def shortfalls(found: Summaries) -> list[str]:
 
 
 def _better(other: Summary, ours: Summary) -> list[str]:
-    """In what another method was better."""
+    """Words for each figure in which another method was better."""
     if other.n_right > ours.n_right:
         return [f"was right in {other.n_right} of {other.n}, {OURS} in {ours.n_right} of {ours.n}"]
     better = []

@@ -141,7 +141,7 @@ def _sniff_text(path: str | Path, head: bytes) -> FileKind:
 
 
 def _kind_by_names(path: str | Path, first: str, mark: str | None) -> FileKind | None:
-    """What a header names: a trajectory, and nothing that may be a field; or either, of a message of ROS."""
+    """A trajectory, if a header names its columns and none that may be a field; of a ROS message, either kind."""
     if ";" in first and "," in first:  # read as a survey, which says what is wrong
         return None
     header = header_of(split_header(first, mark_of(path, first, 1, mark)))

@@ -52,7 +52,7 @@ def _key(status: os.stat_result, *, is_open: bool) -> tuple[int, ...]:
 
 
 def _pieces(place: Path, *, is_open: bool) -> Iterator[bytes]:
-    """What comes through a pipe; one with a name of its own is refused where it has no writer after a while."""
+    """Pieces of what a pipe gives; a pipe with a name of its own is refused where it has no writer after a while."""
     handle = os.open(place, os.O_RDONLY if is_open else os.O_RDONLY | os.O_NONBLOCK)
     with os.fdopen(handle, "rb", buffering=0) as source:
         # Of a pipe whose writer is slow, read gives None.

@@ -69,7 +69,7 @@ class Rough:
         return densest, densest - float(log_density(self.off(window, T_base_log), C, drifts))
 
     def off(self, window: Window, T_base_log: RigidTransform) -> RigidTransform:
-        """How far another pose is from it: of the window's node, in its axes."""
+        """Another pose of the window's node as seen from the predicted one, in the axes of the node."""
         return product(window.T_log_node.inv(), self.T_base_log.inv(), T_base_log, window.T_log_node)
 
 

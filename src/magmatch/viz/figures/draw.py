@@ -232,7 +232,7 @@ def new_plane(
 
 
 def _range(parts: list[np.ndarray]) -> list[float]:
-    """From the least to the largest, with a little around it."""
+    """Range of an axis: from the least value to the largest, with a little around it."""
     values = np.concatenate([np.zeros(0), *parts])
     low, high = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else (0.0, 1.0)
     pad = max(0.02 * (high - low), 1e-3)

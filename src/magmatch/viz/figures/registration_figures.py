@@ -157,7 +157,7 @@ def time_figure(result: RegistrationResult) -> draw.Figure | None:
 
 
 def drawn_words(*surveys: Survey) -> str:
-    """How many samples are drawn of each, where that is not all."""
+    """Words for how many samples of each survey are drawn, where these are not all."""
     words = [
         f"{MAX_SCENE_SAMPLES} of {len(survey)} samples of {survey.name} drawn"
         for survey in surveys

@@ -47,7 +47,7 @@ class Cut:
 
 
 def map_in(drawn: Survey | FieldMap | None) -> FieldMap | None:
-    """What is drawn, where it is a map, which can be cut; a survey has samples alone."""
+    """The map that is drawn, which can be cut; None where a survey is drawn, which has samples alone."""
     return drawn if isinstance(drawn, FieldMap) else None
 
 

@@ -137,7 +137,7 @@ def details(summary: str, html: str, *, is_open: bool = False) -> str:
 
 
 def again(title: str, words: str, command: str | None, settings: Mapping[str, Any], *more: str) -> Section:
-    """How to get the same once more: words, the command, further blocks, and the settings, folded."""
+    """Section on how to get the same once more: words, the command, further blocks, and the settings, folded."""
     text = yaml.safe_dump(settings, sort_keys=False, width=100)
     blocks = [paragraph(words)] if words else []
     blocks += [] if command is None else [to_copy("command", command, is_wrapped=True)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What one would use instead of a field map: interpolators of samples, each choosing its own numbers."""
+"""Interpolators of samples, which one would use instead of a field map; each chooses its own numbers."""
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
