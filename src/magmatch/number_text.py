@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Numbers as text: to the last bit in files, and with the digits that tell them apart in messages."""
 
-from math import ceil, degrees, isfinite, log10
+from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -28,11 +28,11 @@ def told(number: float, digits: int = 15, step: float | None = None) -> str:
 
     Examples
     --------
-    >>> told(1700000000.02), told(0.1 + 0.2), told(5334583.9912, 4, 1e-3), told(1.23456, 4, 1e-3)
-    ('1700000000.02', '0.3', '5334583.991', '1.235')
+    >>> told(1700000000.02), told(0.1 + 0.2), told(5334583.9912, 4, 1e-3), told(1000.2, 3, 1.0)
+    ('1700000000.02', '0.3', '5334583.991', '1000')
     """
     if step is not None and isfinite(number) and abs(number) > step:
-        digits = max(digits, ceil(log10(abs(number) / step)))
+        digits = max(digits, len(str(round(abs(number) / step))))
     return f"{number:.{digits}g}"
 
 
