@@ -23,19 +23,21 @@ POSE_TYPES = (
     "geometry_msgs/TransformStamped",
     "geometry_msgs/PointStamped",
 )
+DESCRIPTION, STRING = "robot_description", "std_msgs/String"
 # What names say of poses that someone sets, for a body to go to or to start at: it is nowhere on the path between.
 SET_POSES = ("goal", "setpoint", "target", "waypoint", "initialpose", "initial_pose", "clicked_point")
 
 
 def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tuple[Topic, Topic | None, list[Topic]]:
-    """Choose the topics of the field and the poses, or of moving frames where the poses come from these.
+    """Choose the topics of the field, of the poses (None where they come from tf), and of the same robot's frames.
 
-    Names that are asked for overrule. Of all pairs of a field and a pose topic, the one with the most messages logged
+    Names that are asked for overrule. Of all pairs of a field and a pose topic that share some time, those that share
+    the longest namespace, as the topics of one robot among several do; of these the one with the most messages logged
     in the time that both cover (taken as evenly spread over each topic's own time); of equal ones the first by name.
     Poses that someone sets, such as goals, are taken only where no other topic and no tf has poses. Without poses:
     the field topic with the most messages. DataFormatError lists what there is.
     """
-    moving = [] if layout.trajectory is not None else [topic for topic in trees(topics) if not is_static(topic)]
+    moving = [] if layout.trajectory is not None else moving_trees(topics)
     is_elsewhere = layout.trajectory is not None or layout.pose_frames is not None
     if layout.pose_topic is not None:
         has_own = not any(is_named(topic, layout.pose_topic) and topic.type in TREES for topic in topics)
@@ -43,11 +45,14 @@ def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tupl
         has_own = any(t.type in POSE_TYPES and t.encoding in ENCODINGS and may_be_path(t) for t in topics)
     if has_own and not is_elsewhere:
         field, pose = _choose(path, topics, layout, needs_pose=True)
-        # Goals may be set before the field is recorded.
-        if layout.pose_topic is not None or not moving or (pose and _shared((field, pose)) > 0):
-            return field, pose, []
+        # Goals may be set before the field is recorded, and poses be those of another robot.
+        nearest = max((shared_namespace(field.name, topic.name) for topic in moving), default=0)
+        is_own = pose and _shared((field, pose)) > 0 and shared_namespace(field.name, pose.name) >= nearest
+        if layout.pose_topic is not None or not moving or is_own:
+            return field, pose, _frames_near(path, topics, field, pose, layout)
     # Where poses are nowhere else, the choice says what is missing.
-    return *_choose(path, topics, layout, needs_pose=not (is_elsewhere or moving)), moving
+    field, pose = _choose(path, topics, layout, needs_pose=not (is_elsewhere or moving))
+    return field, pose, _frames_near(path, topics, field, pose, layout)
 
 
 def _choose(
@@ -56,12 +61,14 @@ def _choose(
     """Choose one topic of the field and, where `needs_pose`, one of poses."""
     types = FIELD_TYPES_IF_NAMED if layout.mag_topic else FIELD_TYPES
     fields = _candidates(path, topics, layout.mag_topic, types, "field")
-    field, pose = min(fields, key=lambda topic: (-topic.count, topic.name)), None
+    near = layout.pose_topic or ""
+    field = min(fields, key=lambda topic: (-shared_namespace(topic.name, near), -topic.count, topic.name))
+    pose = None
     if needs_pose:
         poses = _candidates(path, topics, layout.pose_topic, POSE_TYPES, "pose")
         paths = [topic for topic in poses if layout.pose_topic is not None or may_be_path(topic)]
         pairs = sorted(itertools.product(fields, paths or poses), key=lambda pair: (pair[0].name, pair[1].name))
-        field, pose = max(pairs, key=_shared)  # the first of equal ones
+        field, pose = max(pairs, key=_rank)  # the first of equal ones
         if not paths:
             words = (
                 "%s: topic of poses: %s is read: expected the path of a body, found only what looks like goals or "
@@ -86,6 +93,43 @@ def is_static(topic: Topic) -> bool:
 def trees(topics: Iterable[Topic]) -> list[Topic]:
     """Topics of tf messages that can be read."""
     return [topic for topic in topics if topic.type in TREES and topic.count and topic.encoding in ENCODINGS]
+
+
+def moving_trees(topics: Iterable[Topic]) -> list[Topic]:
+    """Topics of tf messages that can be read, but for those of transforms that hold for good."""
+    return [topic for topic in trees(topics) if not is_static(topic)]
+
+
+def is_description(topic: Topic) -> bool:
+    """Whether a topic is that of a robot's description, and can be read."""
+    is_text = topic.type == STRING and topic.encoding in ENCODINGS
+    return is_text and topic.name.rsplit("/", 1)[-1] == DESCRIPTION
+
+
+def shared_namespace(one: str, other: str) -> int:
+    """Count the names with which the namespaces of two topics both begin."""
+    pairs = zip(*(name.strip("/").split("/")[:-1] for name in (one, other)), strict=False)
+    return len(list(itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)))
+
+
+def _frames_near(
+    path: Path, topics: Sequence[Topic], field: Topic, pose: Topic | None, layout: SurveyFormat
+) -> list[Topic]:
+    """Topics of frames of the robot whose field and poses are read, nearest first.
+
+    Several robots in one log give frames the same names. Those of one are on the topics that share the longest
+    namespace with its field or poses, and on topics in a namespace above.
+    """
+    of = [field.name, pose.name if pose else layout.pose_topic or field.name]
+    frames = [*trees(topics), *filter(is_description, topics)]
+    shared = {topic.name: max(shared_namespace(topic.name, name) for name in of) for topic in frames}
+    levels = {max(shared.values(), default=0)}
+    near = [topic for topic in frames if shared[topic.name] in levels | {shared_namespace(topic.name, topic.name)}]
+    others = [topic.name for topic in frames if topic not in near]
+    if others and layout.pose_topic is None:
+        words = "%s: topics of frames: read are %s, of the robot with %s, not %s (--pose-topic)"
+        logger.warning(words, path, ", ".join(topic.name for topic in near), field.name, ", ".join(others))
+    return sorted(near, key=lambda topic: -shared[topic.name])
 
 
 def is_named(topic: Topic, name: str) -> bool:
@@ -137,6 +181,12 @@ def _remedy(topics: Sequence[Topic], what: str) -> str:
     may_be.sort(key=lambda name: "mag" not in name.lower())
     also = f" (or {', '.join(may_be[1:8])})" if may_be[1:] else ""
     return f"; if vectors of the field are on it: --mag-topic {may_be[0]}{also}" if may_be else ""
+
+
+def _rank(pair: tuple[Topic, Topic]) -> tuple[bool, int, float]:
+    """How likely a field and poses are of one robot: do they share time, how much namespace, how many messages."""
+    n_messages = _shared(pair)
+    return n_messages > 0, shared_namespace(*(topic.name for topic in pair)), n_messages
 
 
 def _shared(pair: tuple[Topic, Topic]) -> float:

@@ -96,8 +96,13 @@ def frame_tree(path: Path, moving: dict[Frames, Entries], static: dict[Frames, E
 
 def fixed_edges(moving: dict[Frames, Entries], static: dict[Frames, Entries]) -> dict[Frames, RigidTransform]:
     """Edges that never move: those of ``/tf_static``, and those of ``/tf`` whose messages all say the same."""
-    constant = {f: part for f, part in moving.items() if (np.ptp(_aligned(part.values), axis=0) <= ROUNDING).all()}
+    constant = {f: part for f, part in moving.items() if is_constant(part.values)}
     return {frames: _transform(part) for frames, part in (constant | static).items()}
+
+
+def is_constant(values: Matrix) -> bool:
+    """Whether poses are all the same."""
+    return bool((np.ptp(_aligned(values), axis=0) <= ROUNDING).all())
 
 
 def extremes(part: Entries) -> Entries:

@@ -8,23 +8,48 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from magmatch.data.logs.choose import is_static, trees
-from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, path_between
+from magmatch.data.logs.choose import DESCRIPTION, is_description, is_static, moving_trees
+from magmatch.data.logs.frames import FrameTree, extremes, fixed_edges, is_constant, path_between
 from magmatch.data.logs.log import Log, Topic
-from magmatch.data.logs.messages import ENCODINGS, Entries, Frames, MalformedError, decode
+from magmatch.data.logs.messages import Entries, Frames, MalformedError, decode
 from magmatch.data.logs.streams import TopicStream, read_streams
 from magmatch.errors import DataFormatError
 
 logger = logging.getLogger(__name__)
 
-DESCRIPTION, STRING = "robot_description", "std_msgs/String"
-
 
 def merged(streams: Sequence[TopicStream]) -> dict[Frames, Entries]:
     """Edges of several topics; one that several have is taken from the first."""
     return {frames: part for stream in reversed(streams) for frames, part in stream.entries.items()}
+
+
+def tell_differing(path: Path, streams: Sequence[TopicStream], remedy: str) -> None:
+    """Say which frame several topics place differently, or one of static transforms in the course of the log."""
+    among: dict[Frames, list[TopicStream]] = {}
+    for stream in streams:
+        for frames in stream.entries:
+            among.setdefault(frames, []).append(stream)
+    differ = [frames for frames, some in among.items() if _do_differ(some, frames)]
+    if differ:
+        (parent, child), names = differ[0], [stream.topic.name for stream in among[differ[0]]]
+        words = "%s: messages of %s place %r on %r differently; %s (%s)"
+        taken = f"{names[0]} is read" if names[1:] else "the last one holds for the whole log"
+        logger.warning(words, path, " and ".join(names), child, parent, taken, remedy)
+
+
+def _do_differ(streams: Sequence[TopicStream], frames: Frames) -> bool:
+    """Whether topics contradict each other about an edge, or one of static transforms itself."""
+    values = [stream.entries[frames].values for stream in streams]
+    if is_static(streams[0].topic):
+        return not is_constant(np.vstack(values))
+    if len(values) == 1 or is_constant(np.vstack(values)):
+        return False
+    first, *others = (set(map(tuple, part.tolist())) for part in values)
+    # A topic that passes on another one repeats most of what it says.
+    return any(2 * len(first & more) < min(len(first), len(more)) for more in others)
 
 
 def find_mount(
@@ -37,7 +62,7 @@ def find_mount(
     T_body_sensor = tree.static_transform(body, sensor) if body else None
     if T_body_sensor is not None:
         return T_body_sensor
-    entries = _unread(log, [topic for topic in trees(topics) if not is_static(topic)])
+    entries = _unread(log, moving_trees(topics))
     tree = replace(tree, static=fixed_edges(entries, {}) | tree.static)
     moving = {*tree.moving, *entries} - tree.static.keys()
     tree = with_description(log, topics, tree)
@@ -58,10 +83,7 @@ def find_mount(
 
 def with_description(log: Log, topics: Sequence[Topic], tree: FrameTree) -> FrameTree:
     """The tree, with the fixed joints of the robot's description (URDF) where tf does not state them."""
-    wanted = {
-        topic.channel for topic in topics
-        if topic.name.rsplit("/", 1)[-1] == DESCRIPTION and topic.type == STRING and topic.encoding in ENCODINGS
-    }  # fmt: skip
+    wanted = {topic.channel for topic in topics if is_description(topic)}
     joints: dict[Frames, RigidTransform] = {}
     for channel, _, payload in log.messages({c.topic for c in wanted}) if wanted else ():
         if channel in wanted:

@@ -10,11 +10,11 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import choose_topics, is_static, trees
+from magmatch.data.logs.choose import choose_topics, is_static, moving_trees, trees
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Entries, Frames
-from magmatch.data.logs.mount import find_mount, merged, with_description
+from magmatch.data.logs.mount import find_mount, merged, tell_differing, with_description
 from magmatch.data.logs.number_topics import read_numbers
 from magmatch.data.logs.open import opened_log
 from magmatch.data.logs.streams import TopicStream, in_order, read_streams, settle_clock
@@ -37,16 +37,21 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
 
 def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     topics = log.topics()
-    field_topic, pose_topic, moving = choose_topics(log.path, topics, layout)
+    field_topic, pose_topic, frames = choose_topics(log.path, topics, layout)
+    moving = [] if pose_topic or layout.trajectory is not None else moving_trees(frames)
     wanted = [field_topic, *([pose_topic] if pose_topic else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
-    read = read_streams(log, [*wanted, *filter(is_static, trees(topics))], recover=layout.recover)
+    read = read_streams(log, [*wanted, *filter(is_static, trees(frames))], recover=layout.recover)
     streams, static = settle_clock(log.path, read[: len(wanted)]), read[len(wanted) :]
-    tree = frame_tree(log.path, merged(streams[len(wanted) - len(moving) :]), merged(static))
+    trees_of_poses = streams[len(wanted) - len(moving) :]
+    tell_differing(log.path, trees_of_poses, "--pose-topic")
+    if layout.extrinsic is None and layout.trajectory is None:
+        tell_differing(log.path, static, "--extrinsic")
+    tree = frame_tree(log.path, merged(trees_of_poses), merged(static))
     field = in_order(log.path, field_topic.name, _of_one_frame(log.path, streams[0]))
     sensor = field.frames[0]
     if moving and sensor not in tree.frames():
-        tree = with_description(log, topics, tree)
+        tree = with_description(log, frames, tree)
     trajectory, (fixed, body), has_orientations = _poses(
         log.path, layout, streams[1] if pose_topic else None, tree, sensor
     )
@@ -56,7 +61,7 @@ def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Record
     if layout.extrinsic is not None:
         T_body_sensor = read_extrinsic(layout.extrinsic)
     elif layout.trajectory is None and frame == "sensor" and sensor not in ("", body):
-        T_body_sensor = find_mount(log, topics, tree, fixed, body, sensor)
+        T_body_sensor = find_mount(log, frames, tree, fixed, body, sensor)
     times, is_new = distinct_seconds(field)
     delay_ns = float(np.median(field.log_ns - field.stamp_ns))  # of logging, behind the times used
     return Recording(
@@ -117,9 +122,10 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
     with opened_log(path) as log:
         topics = log.topics()
         try:
-            field, pose, moving = choose_topics(log.path, topics, layout)
+            field, pose, frames = choose_topics(log.path, topics, layout)
         except DataFormatError as error:
             logger.info("%s", error)
             return topics, {"field": None, "poses": None}
+    moving = [] if layout.trajectory is not None else moving_trees(frames)
     poses = pose or (moving[0] if moving else None)
     return topics, {"field": field.name, "poses": poses.name if poses else None}
