@@ -13,6 +13,7 @@ MAST, LINK = np.array([[0.1, -0.2, 0.3, 0.0, 0.6, 0.0, 0.8], [0.0, 0.05, 0.1, 0.
 WHOLE = RigidTransform.from_components(MAST[:3], Rotation.from_quat(MAST[3:])) * RigidTransform.from_components(
     LINK[:3], Rotation.from_quat(LINK[3:])
 )
+WHOLE_VALUES = np.array([*WHOLE.translation, *WHOLE.rotation.as_quat()])
 EXTRINSIC = " ".join(map(repr, [*WHOLE.translation.tolist(), *WHOLE.rotation.as_quat().tolist()]))
 
 
@@ -65,6 +66,35 @@ def test_a_mount_is_found_beside_edges_that_move(said, edge):
     expected = said(extrinsic=EXTRINSIC)
     arm = edge(MAST, "base", "arm", added=0.01 * np.arange(60)[:, None] * np.eye(7)[0])
     close(said(arm, edge(MAST, "base", "mast"), edge(LINK, "mast", "mag_link")), expected)
+
+
+def test_beside_a_trajectory_of_another_file_the_mount_is_said_not_to_be_used(made, flight, edge, tmp_path, caplog):
+    """Nobody knows which frame of the log it is of."""
+    flight.trajectory().save(tmp_path / "poses.tum")
+    path = made.mcap(tmp_path / "log.mcap", [*flight.series, edge(WHOLE_VALUES, "base", "mag_link", "/tf_static")])
+    read_survey(path, SurveyFormat(trajectory=tmp_path / "poses.tum"))
+    words = (
+        "nothing says where 'mag_link' sits on the body whose poses these are; the poses are taken as the magnetom"
+    )
+    assert words in caplog.text
+    caplog.clear()
+    read_survey(path, SurveyFormat(trajectory=tmp_path / "poses.tum", extrinsic="0 0 0"))
+    assert "nothing says" not in caplog.text
+
+
+def test_a_sensor_without_a_frame_is_said_to_be_without_a_mount(made, flight, edge, tmp_path, caplog):
+    mag, odom = flight.series
+    mast = edge(MAST, "base", "mag_link", "/tf_static")
+    path = tmp_path / "log.mcap"
+    survey = read_survey(made.mcap(path, [made.replace(mag, frame=""), made.replace(odom, child="base"), mast]))
+    words = (
+        "nothing says where the sensor (its messages name no frame) sits on 'base'; the poses are taken as the mag"
+    )
+    assert words in caplog.text
+    close(survey, read_survey(made.mcap(path, [mag, odom])))
+    caplog.clear()
+    read_survey(made.mcap(path, [made.replace(mag, frame=""), made.replace(odom, child="")]))
+    assert "nothing says" not in caplog.text
 
 
 def test_an_edge_that_moves_is_no_mount_and_said_to_move(said, edge, caplog):

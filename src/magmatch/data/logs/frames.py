@@ -146,7 +146,12 @@ def _last(part: Entries) -> int:
 
 
 def path_between(edges: list[Frames], to: str, frm: str) -> list[tuple[Frames, bool]] | None:
-    """Edges from one frame to another, and whether each is passed from parent to child; the fewest possible."""
+    """Edges from one frame to another, and whether each is passed from parent to child; the fewest possible.
+
+    None where nothing connects them, or one has no name.
+    """
+    if not (to and frm):
+        return None
     steps: dict[str, list[tuple[Frames, bool, str]]] = {}
     for parent, child in edges:
         steps.setdefault(parent, []).append(((parent, child), True, child))

@@ -59,23 +59,24 @@ def find_mount(
 
     ``tree`` is what has been read of tf so far; the rest is read only where that does not connect the two.
     """
-    T_body_sensor = tree.static_transform(body, sensor) if body else None
+    T_body_sensor = tree.static_transform(body, sensor)
     if T_body_sensor is not None:
         return T_body_sensor
-    entries = _unread(log, moving_trees(topics))
+    entries = _unread(log, moving_trees(topics)) if sensor and (fixed or body) else {}
     tree = replace(tree, static=fixed_edges(entries, {}) | tree.static)
     moving = {*tree.moving, *entries} - tree.static.keys()
     tree = with_description(log, topics, tree)
-    T_body_sensor = tree.static_transform(body, sensor) if body else None
+    T_body_sensor = tree.static_transform(body, sensor)
     if T_body_sensor is None:
         edges = [*tree.static, *moving]
-        is_moving = bool(body) and path_between(edges, body, sensor) is not None
+        is_moving = path_between(edges, body, sensor) is not None
         says = "tf moves" if is_moving else "nothing says where"
         on = repr(body) if body else "the body whose poses these are"
-        is_in_tf = fixed not in {"", sensor} and path_between(edges, fixed, sensor) is not None
+        what = repr(sensor) if sensor else "the sensor (its messages name no frame)"
+        is_in_tf = fixed != sensor and path_between(edges, fixed, sensor) is not None
         logger.warning(
-            "%s: %s %r %s %s; the poses are taken as the magnetometer's own (%s)",
-            log.path, says, sensor, "against" if is_moving else "sits on", on,
+            "%s: %s %s %s %s; the poses are taken as the magnetometer's own (%s)",
+            log.path, says, what, "against" if is_moving else "sits on", on,
             f"--pose-frames {fixed},{sensor} takes them from tf" if is_in_tf else "--extrinsic",
         )  # fmt: skip
     return T_body_sensor

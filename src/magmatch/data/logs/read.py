@@ -60,7 +60,7 @@ def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Record
     T_body_sensor = None
     if layout.extrinsic is not None:
         T_body_sensor = read_extrinsic(layout.extrinsic)
-    elif layout.trajectory is None and frame == "sensor" and sensor not in ("", body):
+    elif frame == "sensor" and sensor != body:
         T_body_sensor = find_mount(log, frames, tree, fixed, body, sensor)
     times, is_new = distinct_seconds(field)
     delay_ns = float(np.median(field.log_ns - field.stamp_ns))  # of logging, behind the times used
