@@ -67,6 +67,24 @@ def test_a_stamp_set_back_is_found_in_any_order_of_storage(order, made, flight, 
         read_survey(made.mcap(tmp_path / "log.mcap", [mag, made.replace(odom, stamp_ns=stamps)]))
 
 
+@pytest.mark.parametrize("step", [0.5, 0.525])
+def test_a_clock_set_back_by_less_is_said(step, made, flight, tmp_path, caplog):
+    """Readings that came late, or in batches, are no such step."""
+    mag, odom = flight.series
+    path, n = tmp_path / "log.mcap", np.arange(len(odom.log_ns))
+    read_survey(
+        made.mcap(path, [mag, made.replace(odom, stamp_ns=np.where(n < 70, 0, -int(step * SECOND)) + odom.stamp_ns)])
+    )
+    assert f"time on /odom runs backward by {step - 0.05:.3g} s at {odom.stamp_ns[69] / SECOND:.3f} s" in caplog.text
+    assert "out of order" not in caplog.text
+    caplog.clear()
+    for order in (np.r_[:60, 61, 60, 62:130], np.r_[:60, 70, 60:70, 71:130], np.r_[:60, 70:80, 60:70, 80:130]):
+        late = made.replace(odom, stamp_ns=odom.stamp_ns[order], values=odom.values[order])
+        read_survey(made.mcap(path, [mag, late]))
+    assert "runs backward" not in caplog.text
+    assert caplog.text.count("out of order") == 3
+
+
 def test_a_recorders_clock_set_back_is_refused_too(made, flight, tmp_path, monkeypatch):
     """Log times and stamps go back together: messages from before and after would lie in turns."""
     series = []

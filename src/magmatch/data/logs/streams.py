@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 
 # Messages of several publishers reach the recorder a little out of order; a larger step back is a clock set anew.
 MAX_STEP_BACK_NS = SECOND
+# A reading that comes late makes a few turns among those in order; readings of a clock set back make two at each.
+FEW_TURNS = 5
 # Header stamps and log times differ by the transport, some ms; more is two clocks.
 ODD_DELAY_NS = SECOND
 
@@ -166,8 +168,9 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
     Files may hold messages in any order, so stamps are compared in the order of logging too.
     """
     stored = _behind(entries.stamp_ns)
-    logged = _behind(entries.stamp_ns[np.argsort(entries.log_ns, kind="stable")])
-    back = min(logged, stored, key=lambda one: one.max(initial=0))
+    by_log = entries.stamp_ns[np.argsort(entries.log_ns, kind="stable")]
+    stamps = min(by_log, entries.stamp_ns, key=lambda one: _behind(one).max(initial=0))
+    back = _behind(stamps)
     is_stored_late = stored > MAX_STEP_BACK_NS
     if back.max(initial=0) > MAX_STEP_BACK_NS or (is_stored_late.any() and _is_logged_twice(entries)):
         i = int(np.argmax(is_stored_late))
@@ -176,7 +179,13 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
             "a clock that was set anew, or two recordings in one?"
         )
         raise DataFormatError(path, message)
-    if n_late := int((back > 0).sum()):
+    if _turns_after_step(stamps) > FEW_TURNS:
+        words = (
+            "%s: time on %s runs backward by %.3g s at %.3f s, and messages from before and after are mixed: a clock "
+            "that was set anew? Cut the log in two there"
+        )
+        logger.warning(words, path, topic, back.max() / 1e9, stamps[np.diff(stamps).argmin()] / 1e9)
+    elif n_late := int((back > 0).sum()):
         logger.warning("%s: %d messages of %s came out of order and were sorted by time", path, n_late, topic)
     entries = entries.at(np.lexsort((entries.log_ns, entries.stamp_ns)))
     is_new = np.concatenate([[True], np.diff(entries.stamp_ns) > 0])
@@ -196,11 +205,18 @@ def _is_logged_twice(entries: Entries) -> bool:
     Pieces of a file that were written in another order do not overlap in time; messages in no order at all step
     back more than once.
     """
-    is_back = np.diff(entries.log_ns) < -MAX_STEP_BACK_NS
-    if is_back.sum() != 1:
-        return False
-    is_after = np.concatenate([[False], np.cumsum(is_back) > 0])
-    order = np.argsort(entries.log_ns, kind="stable")
-    n_turns = int(np.diff(is_after[order]).sum())
+    n_turns = _turns_after_step(entries.log_ns, MAX_STEP_BACK_NS)
     # A piece that belongs between two others makes two turns.
-    return bool((n_turns - 2) * np.median(np.diff(entries.log_ns[order])) > MAX_STEP_BACK_NS)
+    return bool((n_turns - 2) * np.median(np.diff(np.sort(entries.log_ns))) > MAX_STEP_BACK_NS)
+
+
+def _turns_after_step(times: Indices, least: int = 0) -> int:
+    """Count how often times from before and after the only step back by more than `least` follow each other, sorted.
+
+    Without a step back, or with several, it is 0.
+    """
+    is_back = np.diff(times) < -least
+    if is_back.sum() != 1:
+        return 0
+    is_after = np.concatenate([[False], np.cumsum(is_back) > 0])
+    return int(np.diff(is_after[np.argsort(times, kind="stable")]).sum())
