@@ -35,6 +35,16 @@ def commas(value):
     return repr(value).replace(".", ",")
 
 
+@pytest.mark.parametrize("columns", [slice(0, 7), slice(1, 7)], ids=["with times", "without"])
+def test_a_table_of_numbers_is_told_its_columns_by_their_count(columns, tmp_path):
+    np.savetxt(tmp_path / "walk.csv", NUMBERS[:, columns], delimiter=",")
+    with pytest.raises(DataFormatError) as caught:
+        read_survey(tmp_path / "walk.csv", SurveyFormat(field_unit="uT"))
+    advised = re.search(r"--columns (\S+)", str(caught.value))[1]
+    survey = read_survey(tmp_path / "walk.csv", SurveyFormat(field_unit="uT", columns=advised))
+    np.testing.assert_array_equal(survey.positions, NUMBERS[:, 1:4])
+
+
 # What is in the file, words of the message, and what following them makes of the file and of the options.
 SURVEYS = {
     "names in a comment": (table("#" + NAMES), "remove the '#'", swap("#", ""), {}),

@@ -203,18 +203,26 @@ def test_refused_points_say_how_to_name_them(text, tmp_path):
             "column 'bx [nt]' is read in uT: is that what its name means? (--field-unit nT)",
         ),
         ("x_mm", {"field_unit": "uT"}, "column 'x_mm' is read in m: is that what its name means? (--length-unit mm)"),
+        (
+            "Feld [nT]",
+            {"field_unit": "uT"},
+            "column 'feld [nt]' is read in uT: is that what its name means? (--field",
+        ),
+        ("feld_m", {"field_unit": "uT"}, ""),
         ("bx (µT)", {"field_unit": "uT"}, ""),
         ("x [mm]", {"field_unit": "uT", "length_unit": "mm"}, ""),
     ],
 )
 def test_a_name_that_states_another_unit_than_the_option_is_told(theirs, options, words, tmp_path, caplog):
-    ours = "bx" if theirs.startswith("bx") else "x"
+    ours = "x" if theirs.startswith("x") else "bx"
     rows = (f"{t},{t},{t * t},{t % 0.3},{x},{y},{z}\n" for t, (x, y, z) in zip(TIMES, FIELD, strict=True))
     names = NAMES.replace(f",{ours},", f",{theirs},")
     (tmp_path / "walk.csv").write_text(f"{names}\n{''.join(rows)}")
-    read_survey(tmp_path / "walk.csv", SurveyFormat(columns=f"{ours}={theirs}", **options))
-    assert words in caplog.text
-    assert ("its name means" in caplog.text) == bool(words)
+    for column in (theirs, NAMES.split(",").index(ours) + 1):
+        caplog.clear()
+        read_survey(tmp_path / "walk.csv", SurveyFormat(columns=f"{ours}={column}", **options))
+        assert words in caplog.text
+        assert ("its name means" in caplog.text) == bool(words)
 
 
 def test_samples_for_a_trajectory_are_told_which_column_is_their_clock(tmp_path, poses):

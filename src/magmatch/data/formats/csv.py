@@ -3,7 +3,7 @@
 
 import logging
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -29,16 +29,18 @@ from magmatch.data.survey_columns import (
     refuse_numbers_of_others,
     warn_of_unused_times,
 )
-from magmatch.data.tables.header_names import header_of
+from magmatch.data.tables.header_names import header_of, unit_of
 from magmatch.data.tables.quaternions import QUATERNION, rotations_of
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import is_sample
-from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, TESLA_PER_UNIT
+from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
 from magmatch.errors import ConfigurationError, DataFormatError
 from magmatch.typing import Points, Scalars
 
 logger = logging.getLogger(__name__)
+
+UNITS: Mapping[str, Collection[str]] = {"time": UNITS_PER_SECOND, "length": METRE_PER_UNIT, "field": TESLA_PER_UNIT}
 
 
 def read_survey_csv(path: str | Path, layout: SurveyFormat) -> Survey:
@@ -71,12 +73,18 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
     def choose(names: Sequence[str]) -> ChosenColumns:
         return choose_columns(path, names, stated, has_poses=has_poses)
 
+    header: list[str] = []
+
+    def check_numbered(names: Sequence[str]) -> None:
+        refuse_numbers_of_others(path, names, stated)
+        header.extend(names)
+
     wanted = Wanted(
         (*stated.values(), *COLUMNS),
         words=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
-        check_numbered=lambda names: refuse_numbers_of_others(path, names, stated),
+        check_numbered=check_numbered,
         decimal=layout.decimal or "",
         digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
         recover=layout.recover,
@@ -84,18 +92,23 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
     )
     table = read_table(path, wanted)
     chosen = choose(table.names)
-    _warn_of_units(path, chosen, layout)
+    _warn_of_units(path, {_word(theirs, header): ours for theirs, ours in chosen.ours.items()}, layout)
     return chosen.of(table), chosen
 
 
-def _warn_of_units(path: str | Path, chosen: ChosenColumns, layout: SurveyFormat) -> None:
+def _word(theirs: str, header: Sequence[str]) -> str:
+    """What the header, if there is one, says of a column that is known by name or by number."""
+    return header[int(theirs) - 1] if theirs.isdecimal() and 1 <= int(theirs) <= len(header) else theirs
+
+
+def _warn_of_units(path: str | Path, ours_of: Mapping[str, str], layout: SurveyFormat) -> None:
     """Say so where the name of a column states another unit than the one that it is read in."""
     read_in: dict[str, str] = {"t": layout.time_unit} if layout.rate is None else {}
     read_in |= dict.fromkeys(POSITION_COLUMNS, layout.length_unit) | dict.fromkeys(FIELD_COLUMNS, layout.field_unit)
-    for theirs, ours in chosen.ours.items():
-        stated = next(iter(header_of([theirs]).units.values()), read_in.get(ours))
-        if ours in read_in and stated != read_in[ours]:
-            option = "time" if ours == "t" else "length" if ours in POSITION_COLUMNS else "field"
+    for theirs, ours in ours_of.items():
+        option = "time" if ours == "t" else "length" if ours in POSITION_COLUMNS else "field"
+        stated = unit_of(theirs)
+        if ours in read_in and stated in UNITS[option] and stated != read_in[ours]:
             words = "%s: column '%s' is read in %s: is that what its name means? (--%s-unit %s)"
             logger.warning(words, path, theirs, read_in[ours], option, stated)
 
@@ -104,7 +117,8 @@ def advice_for(names: Sequence[str]) -> str:
     """Advise about a table without the columns of a survey, from the names it has."""
     if names and all(map(is_sample, names)):
         pairs = "t=1,x=2,y=3,z=4,bx=5,by=6,bz=7" if len(names) > 6 else "t=1,bx=2,by=3,bz=4"
-        return f"Without a header, say which column is which, counted from 1: --columns {pairs}"
+        pairs = "x=1,y=2,z=3,bx=4,by=5,bz=6" if len(names) == 6 else pairs
+        return f"Without a header, number the columns from 1: --columns {pairs}"
     if len(names) == 1 and (mark := re.search(r"[^\w\s.()\[\]\"'/^-]", names[0])):
         return f"If '{mark[0]}' separates the columns, write sep={mark[0]} in a line above"
     if all(any(name.startswith(part) for name in names) for part in ("lat", "lon")):

@@ -76,6 +76,11 @@ def header_of(words: Sequence[str], lone: str = "") -> Header:
     return Header(tuple(word.strip() for word in words), tuple(name for name, _ in found), units)
 
 
+def unit_of(word: str) -> str:
+    """The unit that a column's name states, of whatever the column is; "" where it states none."""
+    return _name_of(word, "")[1]
+
+
 def words_of(line: str) -> list[str]:
     """Names of columns in one line, whatever parts them; units in brackets stay with their name."""
     held = _BRACKETS.sub(lambda found: f"[{''.join(found[1].split())}]".replace(",", "").replace(";", ""), line)
