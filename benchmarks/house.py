@@ -148,6 +148,17 @@ def asked_kinds(root: Path) -> int:
     return sum(isinstance(node, ast.Call) and getattr(node.func, "id", "") == "isinstance" for node in nodes)
 
 
+def named_numbers(root: Path) -> int:
+    """Names in capitals that modules of the package give to numbers, or to what holds one."""
+    count = 0
+    for path in (root / "src").rglob("*.py"):
+        for node in ast.parse(path.read_text("utf-8")).body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                has_number = any(type(getattr(n, "value", None)) in (int, float) for n in walk_outside(node.value))
+                count += has_number * sum(name.isupper() for name in names_of(node))
+    return count
+
+
 def settings() -> int:
     """Leaves of the configuration of registration, in the package that is imported."""
     from pydantic import BaseModel
@@ -289,6 +300,7 @@ def figures(root: Path) -> dict[str, object]:
         "largest folders": ", ".join(f"{name} {n}" for name, n in largest_folders(root)),
         "settings": asked_inside(root, "all_settings"),
         "settings of registration": asked_inside(root, "settings"),
+        "numbers with a name of a module": named_numbers(root),
         "calls of isinstance": asked_kinds(root),
         "numbers chosen in registration": numbers(root),
         "of them limits of effort": numbers_by_file(root)["limits"],
