@@ -86,6 +86,11 @@ RUNS = (
         3,
     ),
     Run(
+        ("held-out-walks",),
+        "experiments/phones/held_out_walks.py --walks 60 --jobs {jobs} --data {data}/xyz10 --out {out}",
+        12,
+    ),
+    Run(
         ("slam-scenarios",),
         "experiments/slam_scenarios.py --first {seed} --seeds 8 --drifts 1 --jobs {jobs} --out {out}",
         28,
