@@ -79,7 +79,7 @@ RUNS = (
         28,
         "--save {0} --save-pairs {1}",
     ),
-    Run(("newcomers",), "experiments/newcomers.py --modes planar --jobs {jobs} --data {data} --out {out}", 11),
+    Run(("newcomers",), "experiments/newcomers.py --modes planar --jobs {jobs} --data {data} --out {out}", 20),
     Run(
         ("localize-others",),
         "experiments/localize_evidence.py --table others --jobs {jobs} --data {data} --out {out}",

@@ -191,8 +191,11 @@ def table(rows: list[Row]) -> list[list[str]]:
         if not these:
             continue
         n, right, good = len(these), [r for r in these if r.is_right], [r for r in these if r.best_is_right]
-        error = np.median([r.error for r in right], axis=0) if right else np.full(2, np.nan)
-        sd = np.median([r.sd for r in right], axis=0) if right else np.full(2, np.nan)
+        stated = [r.nees for r in these if r.is_accepted]
+        error, sd = (
+            "{:.2f} m, {:.1f} deg".format(*np.median(values, axis=0)) if right else ""
+            for values in ([r.error for r in right], [r.sd for r in right])
+        )
         said = f"{len(right)} ({len(right) / n:.0%})"
         if kind.startswith("odo"):
             said += f", or refused naming drift: {sum(r.names_drift for r in these)}"
@@ -201,8 +204,7 @@ def table(rows: list[Row]) -> list[list[str]]:
             f"{KINDS[kind]}, {'server room' if place == 'inf' else 'museum'}", mode, str(n), said,
             str(sum(r.is_wrong for r in these)), str(sum(not r.is_accepted for r in these)), str(len(good)),
             str(sum(r.is_accepted for r in good)),
-            f"{np.mean([r.nees for r in these if r.is_accepted] or np.nan):.2f}",
-            f"{error[0]:.2f} m, {error[1]:.1f} deg", f"{sd[0]:.2f} m, {sd[1]:.1f} deg",
+            f"{np.mean(stated):.2f}" if stated else "", error, sd,
             f"{np.median([r.seconds for r in these]):.1f}",
         ])  # fmt: skip
     return lines
