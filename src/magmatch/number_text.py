@@ -28,8 +28,10 @@ def told(number: float, digits: int = 15, step: float | None = None) -> str:
 
     Examples
     --------
-    >>> told(1700000000.02), told(0.1 + 0.2), told(5334583.9912, 4, 1e-3), told(1000.2, 3, 1.0)
-    ('1700000000.02', '0.3', '5334583.991', '1000')
+    >>> told(1700000000.02), told(0.1 + 0.2), told(5334583.9912, 4, 1e-3), told(1.23456, 4, 1e-3)
+    ('1700000000.02', '0.3', '5334583.991', '1.235')
+    >>> told(1000.2, 3, 1.0)
+    '1000'
     """
     if step is not None and isfinite(number) and abs(number) > step:
         digits = max(digits, len(str(round(abs(number) / step))))

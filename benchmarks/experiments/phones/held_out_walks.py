@@ -14,7 +14,7 @@ and three standard deviations. *Elsewhere*: held-out walks of which another floo
 
 import logging
 import os
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -47,24 +47,28 @@ def divided(logs: list[Path]) -> tuple[list[Path], list[Path]]:
     return [log for log in logs if log not in held_out], held_out
 
 
-def map_of(logs: list[Path], path: Path) -> mm.FieldMap:
-    """The map of some walks, made once: of the largest frame, if they do not all meet."""
+def make_map(logs: list[Path], path: Path) -> None:
+    """Map some walks, once: of the largest frame, if they do not all meet."""
     if not path.exists():
         session = mm.slam([open_walk(log).survey() for log in logs])
         sizes = [sum(len(session.trajectories[k]) for k in logs_of) for logs_of in session.components]
         session.map(int(np.argmax(sizes))).save(path)
+
+
+@cache
+def load(path: Path) -> mm.FieldMap:
+    """Load a map; a process keeps those of all floors."""
     return mm.FieldMap.load(path)
 
 
-def one(data: Path, out: Path, n: int, name: str) -> dict[str, Any]:
+def one(data: Path, out: Path, name: str) -> dict[str, Any]:
     """Look for a held-out walk; name is ``FLOOR OF_MAP LOG``."""
     logging.getLogger("magmatch").setLevel(logging.ERROR)
     floor, floor_of_map, log = name.split(" ")
-    mapped = divided(walks_of(data / floor_of_map, n))[0]
-    field_map, walk = map_of(mapped, out / f"{floor_of_map}.map"), open_walk(data / floor / log).survey()
+    field_map, walk = load(out / f"{floor_of_map}.map"), open_walk(data / floor / log).survey()
     track = mm.localize(field_map, walk)
-    row: dict[str, Any] = {"is_stated": bool(track.is_stated.any()), "points": [], "mapped": len(mapped)}
-    row["metres"] = float(sum(path_walked(part.positions)[-1] for part in field_map.surveys or (field_map.survey,)))
+    row: dict[str, Any] = {"is_stated": bool(track.is_stated.any()), "points": [], "mapped": len(field_map.surveys)}
+    row["metres"] = float(sum(path_walked(part.positions)[-1] for part in field_map.surveys))
     if floor != floor_of_map or walk.waypoints is None:
         return row
     walked, paths = path_walked(walk.positions), cKDTree(field_map.survey.positions[:, :2])
@@ -103,11 +107,11 @@ def main() -> None:
     logging.getLogger("magmatch").setLevel(logging.ERROR)
     logs = {floor: walks_of(asked.data / floor, asked.walks) for floor in asked.floors}
     for floor, some in logs.items():
-        map_of(divided(some)[0], asked.out / f"{floor}.map")
+        make_map(divided(some)[0], asked.out / f"{floor}.map")
     names = [
         f"{floor} {other} {log.name}" for floor, some in logs.items() for log in divided(some)[1] for other in logs
     ]
-    work = partial(one, asked.data, asked.out, asked.walks)
+    work = partial(one, asked.data, asked.out)
     rows = kept(asked.out / "rows.jsonl", names, work, jobs=asked.jobs, minutes=asked.minutes)
     show(COLUMNS, [line(floor, rows) for floor in asked.floors], asked.save, rows.values())
 

@@ -61,8 +61,9 @@ def tell(result: "SlamResult") -> str:
     width = max(len(log.name) for log in result.logs)
     for log in result.logs:
         place, turn = log.sd
-        known = f"known to {place:.2g} m, {round(degrees(turn), 4):.2g} degrees"
-        known = known if turn < pi else "not known: nothing holds its heading"
+        known = "not known: nothing holds its heading"
+        if turn < pi:
+            known = f"known to {place:.2g} m, {round(degrees(turn), 4):.2g} degrees"
         # Rigid surveys have no odometry and are moved as a whole.
         walked = f"{log.length:.1f} m, moved {log.moved:.2f} m, its end {known}" if result.odometry else known
         lines.append(f"  {log.name:{width}}  frame {log.component}, closures {log.n_closures}, {walked}")

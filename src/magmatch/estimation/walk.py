@@ -2,6 +2,7 @@
 """A survey along a line: averaged in short bins along its path, and the test for being a line."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ MAX_BREADTH = 0.2
 MIN_BINS = 8
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Walk:
     """A line of samples in its own principal frame."""
 
@@ -47,7 +48,7 @@ class Walk:
         """Path in all bins, m."""
         return self.bin_length * len(self)
 
-    @property
+    @cached_property
     def distance(self) -> Matrix:
         """Distances between the bins: (n, n), m."""
         return np.asarray(cdist(self.positions, self.positions))

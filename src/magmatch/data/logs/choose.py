@@ -37,7 +37,7 @@ def choose_topics(path: Path, topics: list[Topic], layout: SurveyFormat) -> tupl
     Poses that someone sets, such as goals, are taken only where no other topic and no tf has poses. Without poses:
     the field topic with the most messages. DataFormatError lists what there is.
     """
-    moving = [] if layout.trajectory is not None else moving_trees(topics)
+    moving = trees_of_poses(None, topics, layout)
     is_elsewhere = layout.trajectory is not None or layout.pose_frames is not None
     if layout.pose_topic is not None:
         has_own = not any(is_named(topic, layout.pose_topic) and topic.type in TREES for topic in topics)
@@ -98,6 +98,11 @@ def trees(topics: Iterable[Topic]) -> list[Topic]:
 def moving_trees(topics: Iterable[Topic]) -> list[Topic]:
     """Topics of tf messages that can be read, but for those of transforms that hold for good."""
     return [topic for topic in trees(topics) if not is_static(topic)]
+
+
+def trees_of_poses(pose: Topic | None, topics: Iterable[Topic], layout: SurveyFormat) -> list[Topic]:
+    """Topics of tf that have the poses: none where another topic, or a file, has them."""
+    return [] if pose is not None or layout.trajectory is not None else moving_trees(topics)
 
 
 def is_description(topic: Topic) -> bool:

@@ -10,7 +10,7 @@ from magmatch.data.formats.extrinsic import read_extrinsic
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import load_trajectory
 from magmatch.data.formats.recording import Recording
-from magmatch.data.logs.choose import choose_topics, is_static, moving_trees, trees
+from magmatch.data.logs.choose import choose_topics, is_static, trees, trees_of_poses
 from magmatch.data.logs.frames import FrameTree, distinct_seconds, frame_tree, trajectory_of
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import Entries, Frames
@@ -38,16 +38,16 @@ def read_log(path: str | Path, layout: SurveyFormat, *, with_channels: bool = Fa
 def _recording(log: Log, layout: SurveyFormat, *, with_channels: bool) -> Recording:
     topics = log.topics()
     field_topic, pose_topic, frames = choose_topics(log.path, topics, layout)
-    moving = [] if pose_topic or layout.trajectory is not None else moving_trees(frames)
+    moving = trees_of_poses(pose_topic, frames, layout)
     wanted = [field_topic, *([pose_topic] if pose_topic else []), *moving]
     logger.info("%s: reading %s", log.path, ", ".join(topic.name for topic in wanted))
     read = read_streams(log, [*wanted, *filter(is_static, trees(frames))], recover=layout.recover)
     streams, static = settle_clock(log.path, read[: len(wanted)]), read[len(wanted) :]
-    trees_of_poses = streams[len(wanted) - len(moving) :]
-    tell_differing(log.path, trees_of_poses, "--pose-topic")
+    of_frames = streams[len(wanted) - len(moving) :]
+    tell_differing(log.path, of_frames, "--pose-topic")
     if layout.extrinsic is None and layout.trajectory is None:
         tell_differing(log.path, static, "--extrinsic")
-    tree = frame_tree(log.path, merged(trees_of_poses), merged(static))
+    tree = frame_tree(log.path, merged(of_frames), merged(static))
     field = in_order(log.path, field_topic.name, _of_one_frame(log.path, streams[0]))
     sensor = field.frames[0]
     if moving and sensor not in tree.frames():
@@ -126,6 +126,5 @@ def list_topics(path: str | Path, layout: SurveyFormat) -> tuple[list[Topic], di
         except DataFormatError as error:
             logger.info("%s", error)
             return topics, {"field": None, "poses": None}
-    moving = [] if layout.trajectory is not None else moving_trees(frames)
-    poses = pose or (moving[0] if moving else None)
+    poses = pose or next(iter(trees_of_poses(pose, frames, layout)), None)
     return topics, {"field": field.name, "poses": poses.name if poses else None}

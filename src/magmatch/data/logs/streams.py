@@ -169,8 +169,8 @@ def in_order(path: Path, topic: str, entries: Entries) -> Entries:
     """
     stored = _behind(entries.stamp_ns)
     by_log = entries.stamp_ns[np.argsort(entries.log_ns, kind="stable")]
-    stamps = min(by_log, entries.stamp_ns, key=lambda one: _behind(one).max(initial=0))
-    back = _behind(stamps)
+    orders = (_behind(by_log), by_log), (stored, entries.stamp_ns)
+    back, stamps = min(orders, key=lambda one: one[0].max(initial=0))
     is_stored_late = stored > MAX_STEP_BACK_NS
     if back.max(initial=0) > MAX_STEP_BACK_NS or (is_stored_late.any() and _is_logged_twice(entries)):
         i = int(np.argmax(is_stored_late))

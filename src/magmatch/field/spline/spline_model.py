@@ -4,6 +4,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Self
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class SplineModel:
     elimination: Elimination  # over those cells
 
     @classmethod
-    def over(cls, points: Points, hyperparameters: Hyperparameters) -> "SplineModel":
+    def over(cls, points: Points, hyperparameters: Hyperparameters) -> Self:
         """Lay splines over the surroundings of points."""
         cells = lay_cells(points, hyperparameters.spacing, hyperparameters.reach)
         return cls(hyperparameters, order_elimination(cells))

@@ -13,8 +13,7 @@ from itertools import count
 import numpy as np
 
 from magmatch.errors import ConfigurationError
-from magmatch.field.cholesky.cells import count_active_cells, lay_cells
-from magmatch.field.cholesky.nested_dissection import order_elimination
+from magmatch.field.cholesky.cells import count_active_cells
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.field.linear_model import FieldPosterior, Index, StoredTile
 from magmatch.field.spline.spline_model import WHOLE, SplineModel, SplinePosterior
@@ -157,12 +156,12 @@ class WholeModel(SplineModel):
 
 def lay_splines(points: Points, hyperparameters: Hyperparameters) -> WholeModel | TiledModel:
     """Model of the surroundings of points."""
-    spacing = hyperparameters.spacing
-    if count_active_cells(points, spacing, hyperparameters.reach, MOST_BOX_CELLS) <= MOST_CELLS:
-        model = WholeModel(hyperparameters, order_elimination(lay_cells(points, spacing, hyperparameters.reach)))
+    h = hyperparameters
+    if count_active_cells(points, h.spacing, h.reach, MOST_BOX_CELLS) <= MOST_CELLS:
+        model = WholeModel.over(points, h)
         if model.n_operations <= MOST_OPERATIONS:
             return model
-    return TiledModel.over(points, hyperparameters)
+    return TiledModel.over(points, h)
 
 
 def fit_operations(points: Points, hyperparameters: Hyperparameters) -> float:

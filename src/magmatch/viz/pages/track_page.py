@@ -54,7 +54,8 @@ def steps_after(result: LocalizationResult) -> list[str]:
 def path_figure(track: Track, k: int) -> draw.Figure:
     """The poses stated in one of the maps, over its |B|."""
     field_map = track.maps[k]
-    stated = [e for e in track.estimates if e.is_stated and (len(track.maps) == 1 or e.map == _name(track, k))]
+    name = _name(track, k)
+    stated = [e for e in track.estimates if e.is_stated and (len(track.maps) == 1 or e.map == name)]
     points = np.array([e.matrix[:3, 3] for e in stated if e.matrix is not None]).reshape(-1, 3)
     sd = np.array([np.sqrt(np.linalg.eigvalsh(e.covariance[3:, 3:])[-1]) for e in stated if e.covariance is not None])
     cut = cut_through(np.concatenate([field_map.survey.positions, points]))
