@@ -75,7 +75,12 @@ class MapStrategy:
         rng = np.random.default_rng(self.seed)
         return invariant_search(pair.base, pair.target, pair.prior, rng)
 
-    def refine_and_weigh(self, pair: MapPair, found: SearchResult) -> list[PoseEvidence]:
+    def refine_and_weigh(
+        self,
+        pair: MapPair,
+        found: SearchResult,
+        ahead: float | None = None,  # noqa: ARG002  # each of many maps is weighed alike
+    ) -> list[PoseEvidence]:
         """Refine poses against both maps, and weigh them; each cell of the target is evidence for or against."""
         return rank_poses(
             pair.base, pair.target, found.poses, pair.prior, self.sensors, self.seed, is_unordered=found.is_unordered

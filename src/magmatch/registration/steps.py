@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from magmatch.data.survey import Survey
-from magmatch.estimation.posterior import Answer, Hypothesis, answers_of, posterior_of
+from magmatch.estimation.posterior import Answer, Hypothesis, answers_of, effective_evidence, posterior_of
 from magmatch.estimation.walk import choose_search, is_resolved
 from magmatch.field.map import FieldMap
 from magmatch.progress import tell
@@ -51,6 +51,11 @@ class Weighed:
         """Hypotheses that are one answer at the accuracy asked for."""
         return answers_of(self.ranked, config.tolerance(self.pair.length))
 
+    @property
+    def most_effective(self) -> float:
+        """The largest evidence of a pose, divided by its residuals' dispersion, nats; -inf if there is none."""
+        return max((effective_evidence(one.log_evidence, one.misfit) for one in self.ranked), default=-np.inf)
+
     def best_log_odds(self, config: DecisionConfig) -> float:
         """Log odds of the most probable answer over unrelated surveys, nats; -inf if there is none."""
         return max((answer.log_odds for answer in self.answers(config)), default=-np.inf)
@@ -79,6 +84,7 @@ def register_once(
         with clock("votes"):
             # Another strategy is another look at the map that was most probable; the likelier of both looks counts.
             likely = strategy.likely(bases) if best is None else [best]
+        ahead = 0.0 if len(likely) > 1 else None  # as of unrelated surveys
         for number, one in enumerate(likely):
             if len(likely) > 1:
                 tell(f"searching {bases.name_of(one)}", number / len(likely))
@@ -87,7 +93,9 @@ def register_once(
             with clock("search"):
                 found = SearchResult() if given.is_alone else strategy.search(pair)
             with clock("refine"):
-                look = refine_and_weigh(strategy, pair, found, given)
+                look = refine_and_weigh(strategy, pair, found, given, ahead)
+            if ahead is not None:
+                ahead = max(ahead, look.most_effective)
             looks = (look, weighed.get(one, look))
             weighed[one] = max(looks, key=lambda each: each.best_log_odds(config.decision))
         best, answer = decide_among(bases, weighed, config.decision, clock)
@@ -126,9 +134,14 @@ def strategies(
         yield walk
 
 
-def refine_and_weigh(strategy: Strategy, pair: Any, found: SearchResult, given: Given = NONE_GIVEN) -> Weighed:
-    """Weigh what a search found, and by the same steps what was given: the posterior compares them all."""
-    ranked: list[Any] = list(strategy.refine_and_weigh(pair, found))
+def refine_and_weigh(
+    strategy: Strategy, pair: Any, found: SearchResult, given: Given = NONE_GIVEN, ahead: float | None = None
+) -> Weighed:
+    """Weigh what a search found, and by the same steps what was given: the posterior compares them all.
+
+    ``ahead``: of many maps, evidence of the best pose in those before, nats.
+    """
+    ranked: list[Any] = list(strategy.refine_and_weigh(pair, found, ahead))
     if given.poses:
         others = given.between(pair.T_base_model, pair.T_target_model)
         ranked += strategy.refine_and_weigh(pair, others)

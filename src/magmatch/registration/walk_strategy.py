@@ -8,6 +8,7 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import pose_prior
+from magmatch.estimation.posterior import in_order
 from magmatch.estimation.walk import Walk, walk_of
 from magmatch.field.map import FieldMap
 from magmatch.registration.config import RegistrationConfig
@@ -19,7 +20,7 @@ from magmatch.registration.prepared.prepared_map import height_range
 from magmatch.registration.search.candidate import SearchResult
 from magmatch.registration.search.pair_search import pair_search
 from magmatch.registration.weigh.bend import Bend, bend_of_walk
-from magmatch.registration.weigh.bending_walk import BendingWalk
+from magmatch.registration.weigh.bending_walk import BendingWalk, worth_bending
 from magmatch.registration.weigh.refine_and_weigh_walk import LineEvidence, inside_base, weigh_walk
 
 WalkPair = Pair[WalkIndex, Walk]
@@ -59,13 +60,21 @@ class WalkStrategy:
         rng = np.random.default_rng(self.seed)
         return pair_search(pair.base.base, pair.base.table, pair.target, pair.prior, rng)
 
-    def refine_and_weigh(self, pair: WalkPair, found: SearchResult) -> list[LineEvidence]:
-        """Generalised least squares, with what this base's own stretches show of residuals, and with more drift."""
-        walks = pair.base
-        ranked = weigh_walk(walks.base, pair.target, found.poses, walks.noise, pair.prior)
-        if not ranked or (walks.noise.is_learned and ranked[0].is_explained):
+    def refine_and_weigh(self, pair: WalkPair, found: SearchResult, ahead: float | None = None) -> list[LineEvidence]:
+        """Generalised least squares, with what this base's own stretches show of residuals, and with more drift.
+
+        In one of many maps a walk is bent only where it could match beside the best pose in others, which is
+        ``ahead`` of unrelated surveys by so many nats.
+        """
+        base, noise = pair.base.base, pair.base.noise
+        ranked = weigh_walk(base, pair.target, found.poses, noise, pair.prior)
+        if not ranked or (noise.is_learned and ranked[0].is_explained):
             return ranked  # nothing is left for more drift to explain
-        return BendingWalk.of(walks.base, pair.target, walks.noise, pair.prior).weigh(ranked)
+        rest = list[LineEvidence]()
+        if ahead is not None:
+            ranked, rest = worth_bending(base, pair.target, ranked, noise, pair.prior, ahead)
+        bent = BendingWalk.of(base, pair.target, noise, pair.prior).weigh(ranked) if ranked else []
+        return in_order([*bent, *rest]) if rest else bent
 
     def state(self, pair: WalkPair, pose: LineEvidence) -> tuple[Estimate, Support]:
         """State a pose with the covariance from the residuals along the path."""

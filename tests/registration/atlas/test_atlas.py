@@ -15,6 +15,7 @@ from magmatch.registration.config import PRESETS
 from magmatch.registration.index.atlas import is_atlas, open_atlas
 from magmatch.registration.index.map_index import index_path, open_index
 from magmatch.registration.register import register, register_keeping_maps
+from magmatch.registration.weigh.bending_walk import BendingWalk
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.corruption import corrupt, draw_corruption
 from magmatch.simulation.simulate import simulate
@@ -82,6 +83,23 @@ def test_without_its_own_room_a_walk_is_refused(atlas, walk_in, tmp_path):
     result = register(open_atlas(tmp_path), walk_in("cellar.map", np.random.default_rng(2)))
     assert not result.is_accepted
     assert result.T_base_target is None
+
+
+def test_maps_in_which_nothing_could_match_cost_no_bending(atlas, found_in_hall, monkeypatch):
+    bent, weigh = [], BendingWalk.weigh
+
+    def counted(bending, likely):
+        bent.append(bending.base.field_map.file.path.name)
+        return weigh(bending, likely)
+
+    monkeypatch.setattr(BendingWalk, "weigh", counted)
+    walk, expected = found_in_hall
+    again = register(atlas, walk)
+    assert set(bent) <= {"hall.map"}
+    assert again.probability == expected.probability
+    # A map that is asked alone is all that there is.
+    assert not register(mm.FieldMap.load(atlas.folder / "attic.map"), walk).is_accepted
+    assert bent[-1] == "attic.map"
 
 
 def test_two_maps_of_one_room_are_ambiguous_and_both_are_named(atlas, walk_in, tmp_path):

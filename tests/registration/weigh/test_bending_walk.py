@@ -17,7 +17,7 @@ from magmatch.geometry import transform_error
 from magmatch.registration.config import PRESETS
 from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.walk_strategy import WalkStrategy
-from magmatch.registration.weigh.bending_walk import BendingWalk
+from magmatch.registration.weigh.bending_walk import BendingWalk, worth_bending
 from magmatch.registration.weigh.refine_and_weigh_walk import weigh_walk
 from magmatch.simulation.config import SimulationConfig
 
@@ -62,6 +62,34 @@ def test_the_right_pose_has_evidence_and_one_beside_it_has_none(drifting):
     models, bending = weigher(index, other.target)
     wrong = bending.at_each_drift([models.T_base_model.inv() * pair.T_base_target * models.T_target_model])
     assert all(one.log_evidence < 0 for one in wrong)
+
+
+def test_by_a_guessed_noise_poses_of_many_maps_are_asked_at_one_drift(drifting, monkeypatch):
+    pair, index = drifting
+    models, _ = weigher(index, pair.target)
+    truth = models.T_base_model.inv() * pair.T_base_target * models.T_target_model
+    noise, beside = index.walks.noise, truth * RigidTransform.from_translation([3.0, 0.0, 0.0])
+    weighed = weigh_walk(index.walks.base, models.target, [truth, beside], noise, models.prior)
+    asked, fit = [], BendingWalk._fit
+    monkeypatch.setattr(BendingWalk, "_fit", lambda *args: asked.append(args) or fit(*args))
+
+    def worth(likely, ahead=0.0):
+        asked.clear()
+        return *worth_bending(index.walks.base, models.target, likely, noise, models.prior, ahead), len(asked)
+
+    right, wrong = (replace(one, attainable=-1.0) for one in weighed)
+    # What could match by the guess is bent at once.
+    likely = replace(right, attainable=1.0)
+    assert worth([likely, wrong]) == ([likely], [wrong], 0)
+    assert worth([right, wrong]) == ([right, wrong], [], 2)
+    some, (refused, *_), n = worth([wrong])
+    assert (some, n) == ([], 1)
+    assert refused.bends
+    assert refused.attainable < -9
+    # Far behind none, or behind what another map holds, nothing is asked.
+    far = replace(right, attainable=-60.0)
+    assert worth([far]) == ([], [far], 0)
+    assert worth([right, wrong], 60.0) == ([], [right, wrong], 0)
 
 
 def test_evidence_is_averaged_over_the_covariances_factor(drifting):
@@ -126,6 +154,17 @@ def test_a_walk_may_drift_more_than_the_bases_own_stretches_do(walked_again):
     xi = log_se3(found[0].T_base_target.inv() * truth)
     assert transform_error(found[0].T_base_target, truth, found[0].center)[0] < 0.15
     assert xi @ np.linalg.solve(found[0].covariance, xi) / 6 < 4
+
+
+def test_by_a_learned_noise_drift_lifts_no_pose_above_what_it_could_attain(walked_again):
+    _, rigid, bending = walked_again
+    bent = bending.at_each_drift([rigid[0].T_base_target])
+    assert max(one.attainable for one in bent) < rigid[0].attainable
+    hopeless, likely = replace(rigid[0], attainable=-1.0), replace(rigid[0], attainable=1.0)
+    both = bending.base, bending.walk, [likely, hopeless], bending.null.noise, bending.prior
+    assert worth_bending(*both, 0.0) == ([likely], [hopeless])
+    assert worth_bending(*both, 49.0) == ([likely], [hopeless])
+    assert worth_bending(*both, 60.0) == ([], [likely, hopeless])
 
 
 def test_the_bases_own_stretches_stand_for_all_drifts_up_to_theirs(walked_again):

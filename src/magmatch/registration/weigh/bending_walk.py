@@ -16,7 +16,7 @@ Each rate, with each way to turn, is a model of the pose. The null model has the
 field wherever it is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,8 +29,8 @@ from magmatch.estimation.gauss_newton import is_close, perturbed, shortened
 from magmatch.estimation.limits import CLEAR, COARSE_STEPS, MOST_STEPS, N_REFINED
 from magmatch.estimation.model_prior import EACH_DRIFT, RATES, TURNS, path_weight
 from magmatch.estimation.path_noise import PathNoise
-from magmatch.estimation.pose_prior import PosePrior
-from magmatch.estimation.posterior import distinct, in_order
+from magmatch.estimation.pose_prior import RARE, PosePrior
+from magmatch.estimation.posterior import distinct, in_order, needed_evidence
 from magmatch.estimation.walk import MIN_BINS, Walk
 from magmatch.estimation.walk_null_model import UnrelatedWalk
 from magmatch.estimation.walk_rows import residual_rows
@@ -85,9 +85,15 @@ class BendingWalk:
     share: float  # prior probability of these; the drift of the base's own stretches has the rest
 
     @classmethod
-    def of(cls, base: PreparedMap, walk: Walk, noise: PathNoise, prior: PosePrior) -> "BendingWalk":
-        """State how the walk may bend beyond what the base's own stretches show, and its null models."""
-        bendings = [bending_of(walk.positions, turns) for turns in TURNS]
+    def of(
+        cls, base: PreparedMap, walk: Walk, noise: PathNoise, prior: PosePrior, *, is_rough: bool = False
+    ) -> "BendingWalk":
+        """State how the walk may bend beyond what the base's own stretches show, and its null models.
+
+        A rough statement turns as dead reckoning alone, and has no turns in its null model: without them poses have
+        more evidence, or less by ``ln 2`` at most.
+        """
+        bendings = [bending_of(walk.positions, turns) for turns in TURNS[: 1 if is_rough else None]]
         drifts = [[WalkDrift(rate, one) for rate in reversed(one.turns.rates)] for one in bendings]
         n_drifts = sum(map(len, drifts))
         if noise.is_learned:
@@ -96,10 +102,12 @@ class BendingWalk:
         else:
             noise = noise_of_bins(base.noise_sd, base.correlation_length)
         null = UnrelatedWalk(walk, noise, base.correlation_length)
-        turned = [one.rate**2 * one.bending.turned(walk.field) for some in drifts for one in some[::-1]]
+        kept = tuple(tuple(some) for some in drifts)
+        turned = [
+            one.rate**2 * one.bending.turned(walk.field) for some in drifts for one in some[::-1] if not is_rough
+        ]
         with_turns = replace(null, turned=np.stack(turned)) if turned else null
-        kept, share = tuple(tuple(some) for some in drifts), len(turned) / n_drifts
-        return cls(base, walk, prior, null, with_turns, kept, share)
+        return cls(base, walk, prior, null, with_turns, kept, sum(map(len, kept)) / n_drifts)
 
     def weigh(self, likely: Sequence[LineEvidence]) -> list[LineEvidence]:
         """Weigh poses at each drift, beside those at the drift of the base's own stretches; best first."""
@@ -118,13 +126,7 @@ class BendingWalk:
         The map's errors differ from pose to pose over a correlation length. A pose that is refined moves by less, so
         they are evaluated where it starts, and for the best few anew where they stand.
         """
-        if not self.share:
-            return []
-        middle = self.drifts[0][(len(self.drifts[0]) - 1) // 2]
-        coarse = distinct(
-            in_order(self._fit(T, middle, self._map_errors(T), COARSE_STEPS) for T in starts),
-            pose_inaccuracy(self.base.correlation_length)[::-1],
-        )
+        coarse = self.at_one_drift(starts)
         some = [one for one in coarse[:N_REFINED] if one.log_evidence > coarse[0].log_evidence - CLEAR]
         fine: list[LineEvidence | None] = []
         for one in some:
@@ -136,6 +138,18 @@ class BendingWalk:
                     found = self._fit((found or one).T_base_target, drift, errors)
                     fine.append(found)
         return in_order([*fine, *coarse[len(some) :]])
+
+    def distinct(self, found: Iterable[LineEvidence]) -> list[LineEvidence]:
+        """Poses that refinements from elsewhere do not lead to, the first of each."""
+        return distinct(found, pose_inaccuracy(self.base.correlation_length)[::-1])
+
+    def at_one_drift(self, starts: Sequence[RigidTransform]) -> list[LineEvidence]:
+        """Refine poses at the drift in the middle of those tried; distinct ones, best first."""
+        if not self.share:
+            return []
+        middle = self.drifts[0][(len(self.drifts[0]) - 1) // 2]
+        found = in_order(self._fit(T, middle, self._map_errors(T), COARSE_STEPS) for T in starts)
+        return self.distinct(found)
 
     @property
     def _center(self) -> Vector3:
@@ -253,3 +267,28 @@ def noise_of_bins(noise_sd: float, length: float) -> PathNoise:
     noise = PathNoise.guess(length, 0.0, float(np.sqrt(0.5)) * noise_sd, 0.0)
     # All else is known: the map's errors, the bending.
     return replace(noise, attitude_sd=0.0, drift_sd=0.0)
+
+
+def worth_bending(
+    base: PreparedMap, walk: Walk, likely: Sequence[LineEvidence], noise: PathNoise, prior: PosePrior, ahead: float
+) -> tuple[list[LineEvidence], list[LineEvidence]]:
+    """Select poses in one of many maps that could matter if the walk bent; and the others, as weighed so far.
+
+    More drift makes larger residuals likely, which takes evidence from a pose whose residuals are no larger than
+    expected. So by the noise that a base has learned, drift lifts no pose above what it could attain without one.
+    Where that noise is guessed, the map's posterior may expect less of them, and is asked at one drift; at others a
+    pose may have as much more as an answer needs. ``ahead``: evidence of the best pose in other maps, nats; of none,
+    0, as unrelated surveys have.
+    """
+    least, needed = max(0.0, ahead - CLEAR), needed_evidence(1 - RARE, LineEvidence.kind)
+
+    some = [pose for pose in likely if pose.attainable > least]
+    asked = list[LineEvidence]()
+    if not some and not noise.is_learned:
+        near = [pose for pose in likely if pose.attainable > ahead - CLEAR]
+        if near:
+            bending = BendingWalk.of(base, walk, noise, prior, is_rough=True)
+            asked = bending.at_one_drift([pose.T_base_target for pose in bending.distinct(near)])
+        if any(pose.attainable > least - needed for pose in asked):
+            some, asked = near, []
+    return some, asked or [pose for pose in likely if pose not in some]
