@@ -98,7 +98,7 @@ def with_prior(
             raise ConfigurationError(msg)
         said["sd_translation"], said["sd_rotation"] = _spread("--prior-pose-sd", pose_sd, "1,10")
     if gravity_sd is not None:
-        if not (is_aligned or is_planar or config.prior.is_gravity_aligned or config.prior.is_planar):
+        if not (is_aligned or is_planar or config.prior.is_upright):
             msg = "--gravity-sd: give --gravity-aligned or --planar too"
             raise ConfigurationError(msg)
         said["gravity_sd"] = radians(gravity_sd)

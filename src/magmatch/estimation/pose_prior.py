@@ -54,6 +54,11 @@ class PosePriorConfig(Settings):
             raise ValueError(msg)
         return value
 
+    @property
+    def is_upright(self) -> bool:
+        """Whether z points up in both surveys."""
+        return self.is_gravity_aligned or self.is_planar
+
     def transform(self) -> RigidTransform | None:
         """The rough ``T_base_target``."""
         if self.pose is None:
@@ -255,15 +260,15 @@ def pose_prior(
     height_range: float = 1.0,
 ) -> PosePrior:
     """State a prior between the model frames of two surveys."""
-    T, is_aligned = config.transform(), config.is_gravity_aligned or config.is_planar
+    T = config.transform()
     # The same height between survey frames: h_base + z_base = h_target + z_target.
     height = float(T_target_model.translation[2] - T_base_model.translation[2]) if config.is_planar else None
     return PosePrior(
         volume=volume,
         T_base_target=None if T is None else product(T_base_model.inv(), T, T_target_model),
         covariance=None if T is None else np.diag(np.repeat([config.sd_rotation**2, config.sd_translation**2], 3)),
-        up_base=UP @ rotation_matrix(T_base_model) if is_aligned else None,
-        up_target=UP @ rotation_matrix(T_target_model) if is_aligned else None,
+        up_base=UP @ rotation_matrix(T_base_model) if config.is_upright else None,
+        up_target=UP @ rotation_matrix(T_target_model) if config.is_upright else None,
         gravity_sd=config.gravity_sd,
         height=height,
         height_sd=config.height_sd,

@@ -50,7 +50,7 @@ def diagnosis(surveys: Mapping[str, Survey]) -> str:
 
 def contradiction(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
     """In one clause, how the surveys contradict what is stated of z in both; empty if they do not."""
-    if len(surveys) < 2 or not (prior.is_gravity_aligned or prior.is_planar):
+    if len(surveys) < 2 or not prior.is_upright:
         return ""
     found = [str(one) for one in of_verticals(*surveys.values())]
     (low, high), (other_low, other_high) = ((z.min(), z.max()) for z in (s.positions[:, 2] for s in surveys.values()))
@@ -67,9 +67,7 @@ def remedy(surveys: Mapping[str, Survey], prior: PosePriorConfig) -> str:
     if prior.pose is not None:
         return "if they are of one place, the pose that was stated is wrong: leave it out, or widen --prior-pose-sd"
     # Where z is up in one of them only, to state that it is does not help.
-    is_known = (
-        prior.is_gravity_aligned or prior.is_planar or bool(len(surveys) == 2 and of_verticals(*surveys.values()))
-    )
+    is_known = prior.is_upright or bool(len(surveys) == 2 and of_verticals(*surveys.values()))
     if not is_known and len(surveys) == 2 and all(_is_flat(survey) for survey in surveys.values()):
         return (
             "both surveys are flat: if z is up in both, use --gravity-aligned (--planar if their heights agree too)"

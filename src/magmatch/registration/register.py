@@ -29,7 +29,8 @@ from magmatch.registration.maps import require_base, require_target, survey_of
 from magmatch.registration.result import RegistrationResult
 from magmatch.registration.search.candidate import NONE_GIVEN, Given
 from magmatch.registration.sensor_calibration import attempted, better_supported, calibrate_sensors
-from magmatch.registration.steps import Base, Target, register_once
+from magmatch.registration.steps import Base, Outcome, Target, register_once
+from magmatch.registration.vertical_offset import with_vertical_offset
 from magmatch.threads import one_blas_thread
 
 
@@ -166,15 +167,20 @@ def register_keeping_maps(
     diagnoses = warn(known)
     with one_blas_thread():
         outcome = register_once(base, target, samples, config, seed, clock, given)
-        # Vectors in a wrong frame are reported at once: no calibration corrects them.
+        # Vectors in a wrong frame are reported at once: no correction of the sensors helps them.
         if config.calibrate and not any(found.is_of_frames for found in diagnoses):
+
+            def look(base: Base, target: Target, samples: Survey) -> Outcome | None:
+                return attempted(register_once, base, target, samples, config, seed, clock, given)
+
             with clock("calibrate"):
                 calibrated = calibrate_sensors(base, outcome, samples)
             if calibrated:
                 inputs, sides = calibrated
-                outcome = better_supported(
-                    outcome, attempted(register_once, *inputs, config, seed, clock, given), sides
-                )
+                outcome = better_supported(outcome, look(*inputs), sides)
+            may_differ = config.prior.is_upright and config.refinement.sensor.mode != "none"
+            if may_differ and not isinstance(base, Atlas):
+                outcome = with_vertical_offset(outcome, look)
     base_used, used, answer = outcome
     has_pose = answer.best_pose is not None
     if only is not None:

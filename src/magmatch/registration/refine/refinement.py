@@ -28,6 +28,7 @@ from magmatch.geometry import perturbation, perturbation_between, rotate_vectors
 from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import (
+    BIAS_LEVELS,
     SensorConfig,
     SensorMode,
     SensorModel,
@@ -107,7 +108,11 @@ def refine(
     """
     rows = some_rows(base, target, n_samples, rng)
     lengthscale, center = common_length(base, target), target.samples.mean(axis=0)
-    pose = replace(start, center=center) if isinstance(start, RefinedPose) else _at(start, center, sensors, level)
+    pose = (
+        replace(start, center=center)
+        if isinstance(start, RefinedPose)
+        else _at(start, center, sensors, level, prior.up_target)
+    )
     scale = np.concatenate([np.repeat(pose_inaccuracy(lengthscale), 3), pose.sensor_sd])
     for _ in range(MOST_STEPS):
         blocks = compare(base, target, pose, rows)
@@ -134,10 +139,15 @@ def refine(
     return replace(pose, prior_information=known, blocks=compare(base, target, pose, rows))
 
 
-def _at(T_base_target: RigidTransform, center: Vector3, mode: SensorMode, level: int) -> RefinedPose:
+def _at(
+    T_base_target: RigidTransform, center: Vector3, mode: SensorMode, level: int, up: Vector3 | None
+) -> RefinedPose:
     """Give a pose before any refinement, with the sensors alike."""
     sensor = identical_sensors(mode, level)
     sd = prior_sd(level, sensor.n_parameters)
+    if up is not None and mode != "none":
+        # No survey of a level carrier shows its sensor's bias along the vertical.
+        sd[:3] = np.hypot(sd[:3], BIAS_LEVELS[-1] * up)
     log_prior = SENSORS_DIFFER * levels_to_try(mode).index(level)
     return RefinedPose(T_base_target, center, sensor, sd, np.zeros((6, 6)), (), log_prior)
 
