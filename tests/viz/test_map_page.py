@@ -16,7 +16,6 @@ from magmatch.field.build import build_map
 from magmatch.field.config import SPLINE, FieldConfig
 from magmatch.viz.figures.map_figures import (
     Coverage,
-    comparison_figure,
     cover_and_spread,
     field_figures,
     left_out,
@@ -99,12 +98,6 @@ def test_left_out_samples_are_told_by_their_numbers(pair):
     is_out[[3, 50]] = True
     field_map = build_map(pair.base.subset(~is_out), FieldConfig(prior="spline", leave_out_outliers=False))
     assert np.array_equal(left_out(field_map, pair.base), is_out)
-
-
-def test_the_prior_that_was_taken_is_told_by_words_and_filling():
-    bars = comparison_figure(COMPARISON, "harmonic").data[0]
-    assert bars.y == ("harmonic (chosen)", "spline")
-    assert bars.marker.pattern.shape == ("", "/")
 
 
 def test_samples_are_marked_on_the_picture_of_standard_deviations(pair):

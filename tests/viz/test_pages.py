@@ -74,10 +74,10 @@ def test_every_linked_term_is_explained_on_the_page(report):
 
 def test_a_report_draws_all_there_is(report):
     kinds = [figure["data"][0]["type"] for figure in figures_in(report)]
-    in_space, slices, matches = ["scatter3d"] * 2, ["heatmap"] * 3, ["heatmap"]
-    agreement, sureness, time = ["heatmap", "scatter3d", "bar"], ["scatter3d"] * 2, ["bar"]
+    in_space, slices, matches = ["scatter3d"] * 2, ["heatmap"] * 3, ["scatter3d"]
+    agreement, sureness = ["heatmap", "scatter3d", "bar"], ["scatter3d"] * 2
     others = ["scatter"]
-    assert kinds == in_space + slices + matches + agreement + sureness + others + time
+    assert kinds == in_space + slices + matches + agreement + sureness + others
 
 
 def test_every_picture_has_words_that_stand_for_it(report):
@@ -140,7 +140,7 @@ def test_a_refusal_says_why_and_gives_no_transform(pair, tmp_path):
     page = (tmp_path / "r.html").read_text()
     for words in ("Not accepted: degenerate", "sliding along base x", "No transform: none was accepted"):
         assert words in page
-    assert len(figures_in(page)) == 5  # surveys, what is left free, other poses, and time, since there are no maps
+    assert len(figures_in(page)) == 4  # surveys, what is left free, and other poses, since there are no maps
 
 
 def test_the_same_result_gives_the_same_page(report, pair, tmp_path):

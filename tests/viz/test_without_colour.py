@@ -72,7 +72,7 @@ def test_no_series_is_told_by_hue_alone(pair):
     place, _ = ellipsoids_at(pair.accepted.covariance, T, pair.target.centroid)
     figures = [
         *scene_figures(pair.base, pair.target, pair.accepted),
-        match_figure(pair.base_map, pair.target_map, pair.accepted),
+        match_figure(pair.base, pair.target, pair.accepted.links),
         *agreement_figures(pair.base_map, compared),
         along_figure(compared),
         profile_figure(pair.base),

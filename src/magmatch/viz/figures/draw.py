@@ -198,22 +198,6 @@ def _camera(aspect: np.ndarray) -> dict[str, Any]:
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "center": {"x": 0, "y": 0, "z": -0.1}}
 
 
-def bars(
-    title: str, values: Scalars, names: list[str], texts: list[str], x_title: str, filled: list[bool], alt: str
-) -> Figure:
-    """Numbers above 0 as named bars below each other, the first at the top; those that are not filled are hatched."""
-    marker = {"color": BASE_COLOR, "pattern": {"shape": ["" if is_filled else "/" for is_filled in filled]}}
-    bar = require_plotly().Bar(
-        x=values, y=names, text=texts, orientation="h", marker=marker, textposition="outside", cliponaxis=False,
-        hoverinfo="skip", showlegend=False,
-    )  # fmt: skip
-    figure = new_plane(title, [bar], x_title, "", alt, is_equal=False)
-    figure.update_yaxes(autorange="reversed")
-    figure.update_xaxes(range=[0, 1.3 * float(values.max())])
-    figure.update_layout(height=120 + 36 * len(names))
-    return figure
-
-
 def new_plane(
     title: str, traces: list[Any], x_title: str, y_title: str, alt: str = "", *, is_equal: bool = True
 ) -> Figure:

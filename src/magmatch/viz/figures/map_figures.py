@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of one map: the field on cuts, how well it is known where, and the comparison of priors."""
+"""Pictures of one map: the field on cuts, and how well it is known where."""
 
 from dataclasses import dataclass
 
@@ -125,15 +125,3 @@ def coverage_figure(coverage: Coverage) -> draw.Figure:
     )
     figure.update_yaxes(range=[0, 1.02])
     return figure
-
-
-def comparison_figure(errors: dict[str, float], taken: str) -> draw.Figure:
-    """Error on held-out data by prior: bars, the chosen one filled, the others hatched."""
-    names = sorted(errors, key=lambda name: errors[name])
-    values: Scalars = draw.UT_PER_TESLA * np.array([errors[name] for name in names])
-    texts, is_taken = [f"{v:.3g} uT" for v in values], [name == taken for name in names]
-    labels = [f"{name} (chosen)" if name == taken else name for name in names]
-    title = "Priors compared<br><sub>typical error on held-out data, as 3-vectors, noise included</sub>"
-    told = ", ".join(f"{name} {text}" for name, text in zip(names, texts, strict=True))
-    alt = f"Bars of the typical error on held-out data by prior: {told}. Chosen: {taken}."
-    return draw.bars(title, values, labels, texts, "error (uT)", is_taken, alt)

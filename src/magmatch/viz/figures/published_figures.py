@@ -13,14 +13,13 @@ from magmatch.published.config import PublishedConfig
 from magmatch.published.recursion import recursively
 from magmatch.published.register import comparable
 from magmatch.registration.result import Links
-from magmatch.typing import Indices, Points
+from magmatch.typing import Indices
 from magmatch.viz.figures import draw
-from magmatch.viz.figures.slices import common_limits, cut_normal_to, cut_through, heatmap, hollow_marks
+from magmatch.viz.figures.registration_figures import side_by_side
+from magmatch.viz.figures.slices import common_limits, cut_normal_to, cut_through, heatmap
 
-# Samples that show where each map lies, and arrows that can still be told apart.
-MAX_SAMPLES, MAX_ARROWS = 1500, 400
-# Gap between both maps, of the wider one.
-GAP = 0.25
+# Arrows that can still be told apart.
+MAX_ARROWS = 400
 # Axes x, y, z of a local frame, as everywhere.
 AXES = ("#D62728", "#2CA02C", "#1F77B4")
 
@@ -44,28 +43,10 @@ def linked_keypoints_figure(
     base: Inferred, target: Inferred, base_rows: Indices, target_rows: Indices, links: Links
 ) -> draw.Figure:
     """Both maps side by side in space, each in its own frame, with all keypoints and lines between matching ones."""
-    sides = [one.field_map.survey.positions for one in (base, target)]
-    width = max(float(np.ptp(p[:, 0])) for p in sides)
-    shift = np.array([sides[0][:, 0].max() - sides[1][:, 0].min() + GAP * width, 0.0, 0.0])
-    shift[1:] = (sides[0].mean(axis=0) - sides[1].mean(axis=0))[1:]
-    traces = [_samples(sides[0], "samples"), _samples(sides[1] + shift, None)]
-    for one, rows, offset, name, color, symbol in (
-        (base, base_rows, np.zeros(3), "base", draw.BASE_COLOR, draw.BASE_MARKER),
-        (target, target_rows, shift, "target", draw.TARGET_COLOR, draw.TARGET_MARKER),
-    ):
-        p = one.positions[rows] + offset
-        traces.append(draw.marks3d(p, f"keypoints of {name}", color, symbol, 1.5, hoverinfo="name"))
-    line = {"color": draw.LINK_COLOR, "width": 1}
-    if len(links.base):
-        traces.append(
-            draw.curves3d(draw.between(links.base, links.target + shift), name="links", line=line, opacity=0.4)
-        )
+    sides = base.field_map.survey.positions, target.field_map.survey.positions
+    keypoints = base.positions[base_rows], target.positions[target_rows]
     counts = f"{len(base_rows)} and {len(target_rows)} keypoints, {len(links.base)} links"
-    words = f"left: base, right: target, each in its own frame; {counts}"
-    alt = f"Base (left) and target (right) in space with {counts} between them."
-    figure = draw.new_scene("Keypoints and links", traces, words, alt)
-    # From the front, so that the maps lie beside each other rather than behind.
-    return figure.update_layout(height=560, scene_camera={"eye": {"x": 0.15, "y": -1.5, "z": 0.9}})
+    return side_by_side("Keypoints and links", sides, links, keypoints, counts)
 
 
 def curvature_figure(inferred: Inferred, rows: Indices) -> draw.Figure:
@@ -85,8 +66,9 @@ def curvature_figure(inferred: Inferred, rows: Indices) -> draw.Figure:
         hovertemplate="%{x:.2f}, %{y:.2f} m<br>%{z:.3g} uT/m2<extra></extra>",
     )  # fmt: skip
     near = rows[np.abs(inferred.positions[rows, normal] - cut.height) < inferred.spacing]
-    marks = hollow_marks(cut.along(inferred.positions[near]), "keypoints", "circle")
-    marks.marker.size = 5
+    # White with a dark rim, so that they show on any colour.
+    marker = {"size": 5, "symbol": "circle", "color": draw.PAPER, "line": {"color": draw.INK, "width": 1.5}}
+    marks = draw.flat(cut.along(inferred.positions[near]), marker=marker, name="keypoints", hoverinfo="name+x+y")
     note = f"its cube root; {cut.words}; circles: keypoints within a spacing"
     alt = f"Cube root of det H, cut at {cut.words}, with {len(near)} keypoints."
     figure = cut.figure(f"Determinant of the Hessian of |B|<br><sub>{note}</sub>", [image, marks], alt)
@@ -118,9 +100,3 @@ def local_frames_figure(inferred: Inferred, frames: LocalFrames, chosen: Indices
     words = f"{len(some)} of {len(inferred)} points of X* drawn; {n_frames}: x red, y green, z blue"
     alt = f"Arrows of the field in space, coloured by magnitude; {words}."
     return draw.new_scene("Field and local frames", traces, words, alt)
-
-
-def _samples(p: Points, name: str | None) -> Any:
-    some = p[draw.thinned(len(p), MAX_SAMPLES)]
-    has_entry = name is not None
-    return draw.marks3d(some, name, draw.QUIET, draw.BASE_MARKER, 1, showlegend=has_entry, hoverinfo="skip")

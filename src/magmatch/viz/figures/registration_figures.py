@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures of a registration: both surveys before and after, and the field of both maps on one cut."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,15 +10,13 @@ from magmatch.data.survey import Survey
 from magmatch.field.map import FieldMap
 from magmatch.geometry import transform_points
 from magmatch.number_text import told
-from magmatch.registration.result import RegistrationResult
+from magmatch.registration.result import Links, RegistrationResult
 from magmatch.typing import Points, Vector3
 from magmatch.viz.figures import draw
 from magmatch.viz.figures.slices import (
     common_limits,
     cut_through,
     field_on,
-    heatmap,
-    hollow_marks,
     limits_of,
     magnitude_slice,
     slice_figure,
@@ -30,6 +27,8 @@ ASKED_FOR = {"visible": "legendonly", "showlegend": True}
 # Few enough that single links can be followed.
 MAX_LINKS, MAX_LINKS_ACROSS = 60, 25
 MAX_SCENE_SAMPLES = 3000
+# Samples that show where each survey lies beside the other, and the gap between both, of the wider one.
+MAX_SAMPLES_ACROSS, GAP = 1500, 0.25
 
 
 def shown_pose(result: RegistrationResult) -> RigidTransform | None:
@@ -102,58 +101,42 @@ def slice_figures(base_map: FieldMap, target_map: FieldMap, result: Registration
     ]
 
 
-def match_figure(base_map: FieldMap, target_map: FieldMap, result: RegistrationResult) -> draw.Figure | None:
-    """Both maps side by side, each in its own frame, with lines between matching keypoints."""
-    n_links = len(result.links.base)
-    if not n_links:
+def match_figure(base: Survey, target: Survey, links: Links) -> draw.Figure | None:
+    """Both surveys side by side, with lines between some of the matching keypoints."""
+    if not len(links.base):
         return None
-    rows = draw.thinned(n_links, MAX_LINKS_ACROSS)
-    limits = limits_of(base_map, target_map)
-    cuts = [cut_through(m.survey.positions) for m in (base_map, target_map)]
-    ends = [cut.along(p[rows]) for cut, p in zip(cuts, (result.links.base, result.links.target), strict=True)]
-    width = max(np.ptp(cuts[0].first), np.ptp(cuts[1].first))
-    shift = np.array(
-        [cuts[0].first[-1] - cuts[1].first[0] + 0.15 * width, cuts[0].second.mean() - cuts[1].second.mean()]
+    rows = draw.thinned(len(links.base), MAX_LINKS_ACROSS)
+    some = Links(links.base[rows], links.target[rows])
+    counts = f"{len(rows)} of {len(links.base)} links drawn"
+    return side_by_side(
+        "Matching keypoints", (base.positions, target.positions), some, (some.base, some.target), counts
     )
+
+
+def side_by_side(
+    title: str, samples: tuple[Points, Points], links: Links, keypoints: tuple[Points, Points], counts: str
+) -> draw.Figure:
+    """Base and target beside each other in space, each in its own frame, with keypoints and lines between them."""
+    width = max(float(np.ptp(p[:, 0])) for p in samples)
+    shift = np.array([samples[0][:, 0].max() - samples[1][:, 0].min() + GAP * width, 0.0, 0.0])
+    shift[1:] = (samples[0].mean(axis=0) - samples[1].mean(axis=0))[1:]
     traces = []
-    for cut, field_map, offset in zip(cuts, (base_map, target_map), (np.zeros(2), shift), strict=True):
-        field, is_known = field_on(cut, field_map)
-        moved = replace(cut, first=cut.first + offset[0], second=cut.second + offset[1])
-        hover = "%{z:.2f} uT<extra></extra>"
-        traces.append(
-            heatmap(moved, draw.magnitude_ut(field), is_known, limits, draw.FIELD_SCALE, hovertemplate=hover)
-        )
-    ends[1] = ends[1] + shift
-    traces += [
-        *_links_on_plane(*ends),
-        hollow_marks(ends[0], "keypoints of base", "square"),
-        hollow_marks(ends[1], "keypoints of target", draw.TARGET_MARKER),
-    ]
-    planes = f"base cut at {cuts[0].words}, target at {cuts[1].words}, each in its own frame"
-    figure = draw.new_plane(
-        f"Matching keypoints<br><sub>left: base, right: target; {planes}; {len(rows)} of {n_links} links drawn</sub>",
-        traces,
-        "",
-        "",
-        f"Slices of the base map (left) and the target map (right), each in its own frame, with {len(rows)} of "
-        f"{n_links} lines from keypoints of the base (squares) to those of the target (diamonds).",
-    )
-    figure.update_xaxes(visible=False)
-    figure.update_yaxes(visible=False)
-    return figure.update_layout(plot_bgcolor=draw.PAPER)
-
-
-def time_figure(result: RegistrationResult) -> draw.Figure | None:
-    """Seconds per stage; None where they were not measured."""
-    stages = {name: s for name, s in result.seconds.items() if name != "total"}
-    if not stages:
-        return None
-    total = result.seconds.get("total", sum(stages.values()))
-    seconds, names = np.array([*stages.values()]), [draw.label(name) for name in stages]
-    title, texts = f"Time per stage<br><sub>{total:.2f} s in total</sub>", [f"{s:.2f} s" for s in seconds]
-    longest = max(stages, key=lambda name: stages[name])
-    alt = f"Bars of seconds per stage; the longest is {longest} with {stages[longest]:.2f} s."
-    return draw.bars(title, seconds, names, texts, "time (s)", [True] * len(stages), alt)
+    for p, offset, name in zip(samples, (0.0, shift), ("samples", None), strict=True):
+        some = p[draw.thinned(len(p), MAX_SAMPLES_ACROSS)] + offset
+        style: dict[str, Any] = {"showlegend": name is not None, "hoverinfo": "skip"}
+        traces.append(draw.marks3d(some, name, draw.QUIET, "cross", 1, **style))
+    looks = ("base", draw.BASE_COLOR, draw.BASE_MARKER), ("target", draw.TARGET_COLOR, draw.TARGET_MARKER)
+    for p, offset, (name, color, symbol) in zip(keypoints, (0.0, shift), looks, strict=True):
+        traces.append(draw.marks3d(p + offset, f"keypoints of {name}", color, symbol, 1.5, hoverinfo="name"))
+    line = {"color": draw.LINK_COLOR, "width": 1}
+    if len(links.base):
+        ends = draw.between(links.base, links.target + shift)
+        traces.append(draw.curves3d(ends, name="links", line=line, opacity=0.4))
+    words = f"left: base, right: target, each in its own frame; {counts}"
+    alt = f"Base (left) and target (right) in space, each in its own frame, with lines between keypoints: {counts}."
+    figure = draw.new_scene(title, traces, words, alt)
+    # From the front, so that both lie beside each other rather than behind.
+    return figure.update_layout(height=560, scene_camera={"eye": {"x": 0.15, "y": -1.5, "z": 0.9}})
 
 
 def drawn_words(*surveys: Survey) -> str:
@@ -164,15 +147,6 @@ def drawn_words(*surveys: Survey) -> str:
         if len(survey) > MAX_SCENE_SAMPLES
     ]
     return ", ".join(words) or "all samples drawn"
-
-
-def _links_on_plane(starts: np.ndarray, ends: np.ndarray) -> list[Any]:
-    """Dark dots on a white line, which show on any colour."""
-    halo, line = {"color": draw.PAPER, "width": 2.5}, {"color": draw.INK, "width": 1.5, "dash": "dot"}
-    return [
-        draw.flat(draw.between(starts, ends), "lines", line=halo, hoverinfo="skip", showlegend=False),
-        draw.flat(draw.between(starts, ends), "lines", line=line, hoverinfo="skip", name="links"),
-    ]
 
 
 def _taken_off(*origins: Vector3) -> str:

@@ -121,12 +121,6 @@ def magnitude_slice(
     return slice_figure(title, cut, draw.magnitude_ut(field), is_known, limits, draw.FIELD_SCALE, marks, note)
 
 
-def hollow_marks(p: np.ndarray, name: str, symbol: str) -> Any:
-    """Marks at (n, 2) places: white with a dark rim, so that they show on any colour."""
-    marker = {"size": 8, "symbol": symbol, "color": draw.PAPER, "line": {"color": draw.INK, "width": 1.5}}
-    return draw.flat(p, name=name, marker=marker, hoverinfo="name+x+y")
-
-
 def limits_of(*shown: Survey | FieldMap) -> tuple[float, float]:
     """One colour range for field magnitudes in uT.
 

@@ -13,7 +13,6 @@ from magmatch.field.map import FieldMap
 from magmatch.number_text import told
 from magmatch.viz.figures.map_figures import (
     Coverage,
-    comparison_figure,
     cover_and_spread,
     coverage_figure,
     field_figures,
@@ -152,7 +151,7 @@ def _prior(field_map: FieldMap) -> page.Section:
         compared = page.listing(sorted(errors, key=lambda name: errors[name]), columns)
         blocks += [
             page.subheading("Priors compared on held-out data"),
-            page.columns([compared], [page.figure_row([comparison_figure(errors, chosen)])]),
+            compared,
             page.note("The spline is preferred unless another prior is clearly better: held-out errors are noisy."),
         ]
     else:

@@ -33,7 +33,6 @@ from magmatch.viz.figures.registration_figures import (
     scene_figures,
     shown_pose,
     slice_figures,
-    time_figure,
 )
 from magmatch.viz.figures.slices import map_in
 from magmatch.viz.pages import page
@@ -89,9 +88,10 @@ def write_report(
     else:
         sections += _certainty(result, None)
     sections += _other_poses(result, base, target)
-    in_numbers, figure = [page.columns([_transform(result)], [_figures(result)])], time_figure(result)
-    in_numbers += [] if figure is None else [page.details("Time per stage", page.figure_row([figure]))]
-    sections.append(page.Section("In numbers", in_numbers))
+    in_numbers = page.columns([_transform(result)], [_figures(result)])
+    seconds = [[stage, f"{s:.2f} s"] for stage, s in result.seconds.items()]
+    times = [page.details("Time per stage", page.table(seconds))] if seconds else []
+    sections.append(page.Section("In numbers", [in_numbers, *times]))
     sections.append(_reproduced(result, command))
     page.write_page(path, _title(result), sections)
 
@@ -119,7 +119,7 @@ def _field(base: FieldMap, target: FieldMap, result: RegistrationResult) -> list
         page.note("One colour scale for both maps. Blank: the map has no samples nearby."),
         page.figure_row(slice_figures(base, target, result)),
     ]
-    matches = match_figure(base, target, result)
+    matches = match_figure(base.survey, target.survey, result.links)
     if matches is not None:
         blocks.append(page.details("Matching keypoints", page.figure_row([matches])))
     return [page.Section("The field of both maps", blocks)]
