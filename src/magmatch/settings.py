@@ -2,6 +2,7 @@
 """The base class of all settings: frozen, with errors in one sentence."""
 
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any, cast
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -13,18 +14,14 @@ class _OneSentence(type(BaseModel)):  # type: ignore[misc]  # pydantic gives its
     """Turns pydantic's list of faults into the first of them, where settings are made by calling their class."""
 
     def __call__(cls, *args: Any, **kwargs: Any) -> Any:
-        names = list(cast("type[BaseModel]", cls).model_fields)
         if args:
-            msg = f"{cls.__name__}: expected settings by name, {names[0]}=..., got {args[0]!r:.40}"
+            first = next(iter(cast("type[BaseModel]", cls).model_fields))
+            msg = f"{cls.__name__}: expected settings by name, {first}=..., got {args[0]!r:.40}"
             raise TypeError(msg)
         try:
             return super().__call__(**kwargs)
         except ValidationError as error:
-            place, words = first_fault(error)
-            first = error.errors()[0]
-            if first["type"] == "extra_forbidden":
-                known = f"one of {', '.join(names)}" if len(first["loc"]) == 1 else "a known setting"
-                words = f"expected {known}, found another name"
+            place, words = fault_in(cls, error)
             msg = ": ".join(part for part in (cls.__name__, place, words) if part)
             raise ConfigurationError(msg) from None
 
@@ -59,3 +56,17 @@ def over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
         inner = result.get(key)
         result[key] = over(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
     return result
+
+
+def fault_in(kind: Any, error: ValidationError) -> tuple[str, str]:
+    """Say where settings of a class have their first fault, and what is wrong there, or which name may be meant."""
+    place, words = first_fault(error)
+    first = error.errors()[0]
+    if first["type"] != "extra_forbidden":
+        return place, words
+    for part in first["loc"][:-1]:
+        inner = kind.model_fields[str(part)].annotation
+        kind = inner if isinstance(inner, type) and issubclass(inner, BaseModel) else kind
+    near = get_close_matches(str(first["loc"][-1]), kind.model_fields, 1)
+    known = f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(kind.model_fields)}"
+    return place, f"unknown setting; {known}"

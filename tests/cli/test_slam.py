@@ -96,7 +96,7 @@ def test_a_log_that_passes_nothing_twice_is_left_as_it_came(run, logs, tmp_path)
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "-1,2"], "none below 0"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--odometry-sd", "robot:1,2"], "name of a log"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--planar", "--no-gravity"], "--no-gravity"),
-        (["{logs}/walk.csv", "--out", "{tmp}/out", "--g2o-rotation", "euler"], "one of quaternion, angle"),
+        (["{logs}/walk.csv", "--out", "{tmp}/out", "--g2o-rotation", "euler"], "is not one of"),
         (["{logs}/walk.csv", "{logs}/short.csv", "--out", "{tmp}/out", "--trajectory", "p.tum"], "a single LOG"),
         (["{logs}/walk.csv", "--out", "{tmp}/out", "--scheduler", "there"], "an address such as tcp://"),
     ],

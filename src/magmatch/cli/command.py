@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, cast, get_type_hints
+from typing import Annotated, Any, Literal, cast, get_type_hints
 
 import typer
 from pydantic import ValidationError
@@ -109,6 +109,7 @@ COMMON: dict[str, Any] = {"verbose": Verbose, "debug": Debug}
 # Options that several commands have alike.
 JSON = typer.Option(False, "--json", help="Print the result as JSON on stdout.")
 PLANAR = typer.Option(False, "--planar", help="z is up, and all poses lie at one height. Detected if they show it.")
+G2oRotation = Literal["quaternion", "angle"]
 G2O_ROTATION = typer.Option(
     "quaternion", help="Convention of a g2o edge's rotation information: quaternion (g2o) or angle (GTSAM, Ceres)."
 )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Options that several commands take: numbers, one of a few values, the vertical, processes; errors name them."""
+"""Options that several commands take: numbers, the vertical, processes; errors name them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isfinite
 from typing import TYPE_CHECKING, NoReturn
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NoReturn
 from magmatch.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from magmatch.registration.g2o import RotationTangent
     from magmatch.workers import DaskRunner
 
 
@@ -22,19 +21,6 @@ def numbers(option: str, text: str, n: int, expected: str) -> list[float]:
     if len(found) != n or not all(map(isfinite, found)):
         refuse(option, expected, text)
     return found
-
-
-def one_of(option: str, value: str, known: Iterable[str]) -> str:
-    """Check that a value is one of those known."""
-    if value not in known:
-        refuse(option, f"one of {', '.join(known)}", value)
-    return value
-
-
-def rotation_tangent(value: str) -> "RotationTangent":
-    """Convention that ``--g2o-rotation`` names."""
-    named: dict[str, RotationTangent] = {"quaternion": "quaternion", "angle": "angle"}
-    return named[one_of("--g2o-rotation", value, named)]
 
 
 def vertical(*, planar: bool, no_gravity: bool) -> dict[str, object]:

@@ -2,20 +2,18 @@
 """Configuration from a preset, a YAML file and options; errors name the setting or the option."""
 
 import json
-from collections.abc import Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from magmatch.cli.inputs import read_result
-from magmatch.cli.option_values import numbers, one_of, refuse
+from magmatch.cli.option_values import numbers, refuse
 from magmatch.data.units import MEBI
-from magmatch.errors import ConfigurationError, DataFormatError, first_fault
-from magmatch.settings import over
+from magmatch.errors import ConfigurationError, DataFormatError
+from magmatch.settings import fault_in, over
 
 if TYPE_CHECKING:
     from magmatch.localization.config import LocalizerConfig
@@ -25,19 +23,18 @@ Config = TypeVar("Config", bound=BaseModel)
 Decided = TypeVar("Decided", "RegistrationConfig", "LocalizerConfig")
 # Schemas of results, which hold the settings they were made with.
 RESULTS = ("magmatch.registration/", "magmatch.slam/", "magmatch.localization/")
-# What can be estimated between the two magnetometers; 'auto' leaves it to the configuration.
-SENSORS = ("auto", "none", "bias", "scale", "full")
+# Where settings start; and what is estimated between the magnetometers, which 'auto' leaves to the configuration.
+Preset = Literal["default", "paper", "paper-literal"]
+Sensor = Literal["auto", "none", "bias", "scale", "full"]
 # Bytes of a settings file, and of a result used as settings; stated in docs/formats.md.
 MAX_BYTES, MAX_RESULT_BYTES = MEBI, 64 * MEBI
 
 
-def registration_config(preset: str, path: Path | None, sensor: str = "auto") -> "RegistrationConfig":
+def registration_config(preset: Preset, path: Path | None, sensor: Sensor = "auto") -> "RegistrationConfig":
     """Resolve the configuration of a registration: the file's settings over the preset's."""
     from magmatch.registration.config import PRESETS
 
-    config = PRESETS[one_of("--preset", preset, PRESETS)]
-    one_of("--sensor", sensor, SENSORS)
-    config = merged(config, path)
+    config = merged(PRESETS[preset], path)
     if sensor == "auto":
         return config
     if config.search == "keypoints" and sensor != "none":
@@ -56,10 +53,7 @@ def merged(config: Config, path: Path | None, part: str = "") -> Config:
     try:
         return type(config).model_validate(over(config.model_dump(), settings))
     except ValidationError as error:
-        place, words = first_fault(error)
-        first = error.errors()[0]
-        if first["type"] == "extra_forbidden":
-            words = _known_names(type(config), first["loc"])
+        place, words = fault_in(type(config), error)
         raise DataFormatError(path, f"{place}: {words}") from None
 
 
@@ -161,15 +155,3 @@ def _parsed(path: Path) -> Any:
     if len(raw) > MAX_BYTES:
         raise DataFormatError(path, f"is larger than any settings ({MAX_BYTES} bytes)")
     return read_yaml(path, raw)
-
-
-def _known_names(model: type[BaseModel], place: Sequence[int | str]) -> str:
-    """The known setting nearest to an unknown one, or all of them."""
-    for part in place[:-1]:
-        inner = model.model_fields[str(part)].annotation
-        if isinstance(inner, type) and issubclass(inner, BaseModel):
-            model = inner
-    near = get_close_matches(str(place[-1]), model.model_fields, 1)
-    return "unknown setting; " + (
-        f"did you mean '{near[0]}'?" if near else f"expected one of {', '.join(model.model_fields)}"
-    )

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from typer import Argument, Option
 
-from magmatch.cli.command import G2O_ROTATION, Layouts, command
+from magmatch.cli.command import G2O_ROTATION, G2oRotation, Layouts, command
 from magmatch.cli.inputs import read_map, read_result, read_samples
 from magmatch.cli.narration import say
-from magmatch.cli.option_values import numbers, refuse, rotation_tangent
+from magmatch.cli.option_values import numbers, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.errors import ConfigurationError, DataFormatError, SurveyError
 from magmatch.number_text import told
@@ -40,7 +40,7 @@ def convert(
     spacing: float | None = Option(None, help="Grid spacing for a map, metres.", min=1e-6),
     cut: str | None = Option(None, "--slice", help="One slice of a map, such as z=1.0 (metres)."),
     frames: str = Option("base,target", help="Names of base and target in a static transform."),
-    g2o_rotation: str = G2O_ROTATION,
+    g2o_rotation: G2oRotation = G2O_ROTATION,
 ) -> None:
     """Write INPUT in another format, chosen by the suffix of OUTPUT."""
     from magmatch.data.formats.load_trajectory import load_trajectory
@@ -83,13 +83,12 @@ def _write_grid(source: Path, out: Path, suffix: str, spacing: float | None, cut
         say(f"warning: --slice: expected {between}, where the samples are; found {at:g}: the map knows nothing there")
 
 
-def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: str) -> None:
+def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotation: G2oRotation) -> None:
     from magmatch.registration import to_other_programs as other
 
     names = [name.strip() for name in frames.split(",")]
     if len(names) != 2 or not all(names):
         refuse("--frames", "two names such as map,map_monday", frames)
-    tangent = rotation_tangent(g2o_rotation)
     if suffix not in RESULTS:
         raise _unknown_ending(out, RESULTS)
     result = read_result(source)
@@ -97,7 +96,7 @@ def _write_result(source: Path, out: Path, suffix: str, frames: str, g2o_rotatio
         if suffix == ".tum":
             other.write_relative_tum(result, out)
         elif suffix == ".g2o":
-            other.write_g2o(result, out, tangent)
+            other.write_g2o(result, out, g2o_rotation)
             for k, (side, at) in enumerate(zip(("base", "target"), other.vertices_of(result), strict=True)):
                 if at.any():
                     say(f"Vertex {k} stands at {', '.join(told(v) for v in at)} m of the {side}, near its samples")

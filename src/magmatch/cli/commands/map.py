@@ -4,14 +4,14 @@
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from typer import Argument, Option
 
 from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map, read_samples, require_own_poses
 from magmatch.cli.narration import say
-from magmatch.cli.option_values import numbers, one_of, processes, refuse
+from magmatch.cli.option_values import numbers, processes, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged
 from magmatch.data.units import field_text
@@ -48,10 +48,8 @@ def build(
     ),
     out: Path = Option(..., help="Write the map here."),
     report: Path | None = Option(None, help="Write an HTML report on the map here."),
-    prior: str | None = Option(
-        None,
-        help="Prior of the field: auto|spline|divergence_free|curl_free|harmonic; auto (default) chooses the one "
-        "that predicts held-out data best.",
+    prior: Literal["auto", "spline", "divergence_free", "curl_free", "harmonic"] | None = Option(
+        None, help="Prior of the field; auto (default) chooses the one that predicts held-out data best."
     ),
     domain: str | None = Option(
         None, help="Box to map, X0,Y0,Z0,X1,Y1,Z1 in metres; by default to about a lengthscale from the samples."
@@ -64,7 +62,6 @@ def build(
     from magmatch.data.formats.sniff import sniff
     from magmatch.field.build import build_map
     from magmatch.field.config import FieldConfig
-    from magmatch.field.priors import PRIORS
 
     require_own_poses(surveys, layouts, "SURVEY")
     is_addition = (
@@ -78,7 +75,7 @@ def build(
         draw(report, grown, (), layouts.again("map", surveys, "--out", out))
         return
     settings = merged(FieldConfig(), config, "field")
-    stated: dict[str, Any] = {} if prior is None else {"prior": one_of("--prior", prior, ("auto", *PRIORS))}
+    stated: dict[str, Any] = {} if prior is None else {"prior": prior}
     if domain is not None:
         stated["domain"] = parse_domain(domain)
     settings = FieldConfig.model_validate(settings.model_dump() | stated)

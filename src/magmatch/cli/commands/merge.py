@@ -5,9 +5,9 @@ from pathlib import Path
 
 from typer import Argument, Option
 
-from magmatch.cli.command import G2O_ROTATION, JSON, SEED, Layouts, command
+from magmatch.cli.command import G2O_ROTATION, JSON, SEED, G2oRotation, Layouts, command
 from magmatch.cli.inputs import read_poses_of, read_survey_or_map, require_own_poses
-from magmatch.cli.option_values import processes, refuse, rotation_tangent
+from magmatch.cli.option_values import processes, refuse
 from magmatch.cli.outputs import check_folder
 from magmatch.cli.sessions import deliver
 from magmatch.cli.settings import registration_config, with_prior
@@ -32,7 +32,7 @@ def merge(
     config: Path | None = Option(None, help="YAML file of registration settings, or an earlier result."),
     jobs: int = Option(1, min=1, help="Processes that register pairs."),
     scheduler: str | None = Option(None, help="Dask scheduler whose workers do so instead, tcp://HOST:PORT."),
-    g2o_rotation: str = G2O_ROTATION,
+    g2o_rotation: G2oRotation = G2O_ROTATION,
     seed: int = SEED,
     json: bool = JSON,
 ) -> int:
@@ -50,7 +50,6 @@ def merge(
 
     if len(surveys) < 2:
         refuse("SURVEY", "at least two surveys", str(surveys[0]))
-    tangent = rotation_tangent(g2o_rotation)
     require_own_poses(surveys, layouts, "SURVEY")
     check_folder(out)
     settings = registration_config("default", config)
@@ -61,4 +60,4 @@ def merge(
     with processes(jobs, scheduler) as run:
         session = merged(read, settings, seed=seed, run=run, keep=unfinished(out))
     again = layouts.again("merge", surveys, "--seed", seed, "--config", "settings.yaml", "--out", out)
-    return deliver(session, out, again, poses, tangent, json=json)
+    return deliver(session, out, again, poses, g2o_rotation, json=json)

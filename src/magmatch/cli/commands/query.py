@@ -9,6 +9,7 @@ from magmatch.cli.command import Layouts, command
 from magmatch.cli.inputs import read_map
 from magmatch.cli.narration import say
 from magmatch.cli.outputs import check_outputs
+from magmatch.data.units import LengthUnit
 
 EXAMPLES = (
     "magmatch query room.map points.csv --out field.csv",
@@ -25,7 +26,7 @@ def query(
         metavar="POINTS.csv",
     ),
     out: Path = Option(..., help="Write here (CSV)."),
-    length_unit: str = Option("m", help="POINTS.csv: unit of the points, m|cm|mm."),
+    length_unit: LengthUnit = Option("m", help="POINTS.csv: unit of the points."),
     gradient: bool = Option(False, "--gradient", help="Add the field's gradient, T/m."),
 ) -> None:
     """Write MAP's field at given points.

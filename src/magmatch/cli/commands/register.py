@@ -12,7 +12,7 @@ from magmatch.cli.command import JSON, SEED, Layouts, command
 from magmatch.cli.inputs import read_survey_or_map
 from magmatch.cli.outputs import answer, check_folder, check_outputs
 from magmatch.cli.registering import tell_result, with_help, with_wait
-from magmatch.cli.settings import registration_config, with_limits, with_prior
+from magmatch.cli.settings import Preset, Sensor, registration_config, with_limits, with_prior
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
@@ -44,13 +44,10 @@ def register(
     out: Path | None = Option(None, help="Write the result here (JSON)."),
     report: Path | None = Option(None, help="Write an HTML report here."),
     figures: Path | None = Option(None, help="Write figures into this folder, each as PNG and SVG.", metavar="DIR"),
-    preset: str = Option(
-        "default",
-        help="Settings to start from: default, paper (as published) or paper-literal (to the letter; slow).",
+    preset: Preset = Option(
+        "default", help="Settings to start from; paper is as published, paper-literal to the letter, and slow."
     ),
-    sensor: str = Option(
-        "auto", help="Differences between the magnetometers to estimate: auto|none|bias|scale|full."
-    ),
+    sensor: Sensor = Option("auto", help="Differences between the magnetometers to estimate."),
     prior_pose: str | None = Option(None, help="Rough T_base_target: x,y,z,qx,qy,qz,qw (m), or a result file."),
     prior_pose_sd: str | None = Option(
         None, help="Standard deviations of that pose at the target: metres,degrees.  [default: 1,9.7]"

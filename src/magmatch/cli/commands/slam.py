@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from typer import Argument, Option
 
-from magmatch.cli.command import G2O_ROTATION, JSON, PLANAR, RERUN, Layouts, command
+from magmatch.cli.command import G2O_ROTATION, JSON, PLANAR, RERUN, G2oRotation, Layouts, command
 from magmatch.cli.inputs import logs_in, read_poses_of, require_own_poses
 from magmatch.cli.narration import say
-from magmatch.cli.option_values import numbers, processes, refuse, rotation_tangent, vertical
+from magmatch.cli.option_values import numbers, processes, refuse, vertical
 from magmatch.cli.outputs import check_folder, check_outputs
 from magmatch.cli.sessions import deliver
 from magmatch.cli.settings import merged
@@ -62,7 +62,7 @@ def slam(
     config: Path | None = Option(None, help="YAML file of settings, or an earlier result."),
     jobs: int = Option(1, min=1, help="Processes that map and compare stretches of path."),
     scheduler: str | None = Option(None, help="Dask scheduler whose workers do so instead, tcp://HOST:PORT."),
-    g2o_rotation: str = G2O_ROTATION,
+    g2o_rotation: G2oRotation = G2O_ROTATION,
     rerun: Path | None = RERUN,
     json: bool = JSON,
 ) -> int:
@@ -87,7 +87,7 @@ def slam(
     from magmatch.slam.output.kept_session import read_session, session_in
     from magmatch.slam.session import Session, unique_stems
 
-    switches, tangent = vertical(planar=planar, no_gravity=no_gravity), rotation_tangent(g2o_rotation)
+    switches = vertical(planar=planar, no_gravity=no_gravity)
     if is_more and (planar or no_gravity or odometry_sd or config):
         refuse("--continue", "the settings of the session that it continues", "others")
     asked, logs = logs, logs_in(logs)
@@ -122,7 +122,7 @@ def slam(
     poses = [poses[next(k for k, s in enumerate(surveys) if s is survey)] for survey in session.given]
     more = [*(["--anchors", anchors] if anchors else []), *(["--no-waypoints"] if no_waypoints else [])]
     again = layouts.again("slam", asked, *more, "--config", "settings.yaml", "--out", out)
-    return deliver(session, out, again, poses, tangent, json=json, rerun=rerun)
+    return deliver(session, out, again, poses, g2o_rotation, json=json, rerun=rerun)
 
 
 def with_odometry_sd(settings: "SlamConfig", said: Sequence[str], logs: Sequence[Path]) -> "SlamConfig":
