@@ -10,15 +10,15 @@ import numpy as np
 
 from magmatch.arguments import expect_kind, expect_path
 from magmatch.data.checks import check_survey
-from magmatch.data.formats.channels import channels_at, read_channels
+from magmatch.data.formats import csv, parquet
 from magmatch.data.formats.csv import read_survey_csv, recording_of_table, survey_of_table
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.formats.load_trajectory import EUROC_FIELD, read_euroc, with_poses
-from magmatch.data.formats.mat import advice_for_arrays, read_mat
+from magmatch.data.formats.mat import read_mat
 from magmatch.data.formats.parquet import read_parquet
 from magmatch.data.formats.phones.phone_log import PhoneLog, Sensor
 from magmatch.data.formats.phones.read import read_phone_log, read_phone_recording
-from magmatch.data.formats.recording import Recording
+from magmatch.data.formats.recording import MAX_CHANNELS, Channels, Recording, TimeSeries
 from magmatch.data.formats.sniff import FileKind, sniff
 from magmatch.data.logs.read import read_log
 from magmatch.data.sensor_axes import missing, without_missing
@@ -87,11 +87,31 @@ def read_survey_and_channels(
         recording = read_log(path, layout, with_channels=True)
         (whole, used), numbers = _joined(path, recording, layout), recording.channels
     else:
-        (whole, used), numbers = read_as_written(path, layout), read_channels(path, layout)
+        (whole, used), numbers = read_as_written(path, layout), _other_columns(path, layout)
     # Some channels go with the samples row by row.
-    is_kept, channels = ~missing(whole), channels_at(numbers, whole.times, len(whole))
+    is_kept, channels = ~missing(whole), _at_samples(numbers, whole)
     kept = {name: values[is_kept] for name, values in channels.items()}
     return _checked(path, whole if is_kept.all() else whole.subset(is_kept), used), kept
+
+
+def _other_columns(path: str | Path, layout: SurveyFormat) -> Channels:
+    """Read the number columns of a table that are none of a survey's."""
+    read = {"csv": csv.read_other_columns, "parquet": parquet.read_other_columns}.get(sniff(path))
+    if read is None:
+        return {}
+    times, columns = read(path, layout, MAX_CHANNELS)
+    return {name: TimeSeries(times if layout.rate is None else None, values) for name, values in columns.items()}
+
+
+def _at_samples(channels: Channels, survey: Survey) -> dict[str, Scalars]:
+    """Values for the samples of a survey: by time where there is one, else row by row."""
+    found = {}
+    for name, channel in channels.items():
+        if survey.times is not None and channel.times is not None:
+            found[name] = np.interp(survey.times, channel.times, channel.values)
+        elif len(channel.values) == len(survey):
+            found[name] = channel.values
+    return found
 
 
 def survey_of_phone(log: PhoneLog, layout: SurveyFormat, trajectory: Trajectory) -> Survey:
@@ -193,7 +213,7 @@ READERS: Mapping[FileKind, Reader] = {
     "euroc": _read_euroc,
     "rostopic": _read_euroc,
     "parquet": lambda path, layout: (survey_of_table(read_parquet(path, layout), layout), layout),
-    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout, advice_for_arrays), layout),
+    "mat": lambda path, layout: (survey_of_table(read_mat(path, layout), layout), layout),
     "phone": _read_phone,
     "log": lambda path, layout: _joined(path, read_log(path, layout), layout),
 }

@@ -36,8 +36,7 @@ from magmatch.data.survey_columns import (
     survey_arguments,
 )
 from magmatch.data.surveyed_points import SurveyedPoints
-from magmatch.data.tables.quaternions import QUATERNION
-from magmatch.data.tables.table import Table, Wanted, read_table, write_table
+from magmatch.data.tables.table import QUATERNION, Table, Wanted, read_table, write_table
 from magmatch.data.units import FieldUnit, LengthUnit, TimeUnit, field_text
 from magmatch.errors import SurveyError, in_short
 from magmatch.geometry import principal_frame, rotate_vectors, transform_points

@@ -15,8 +15,7 @@ from magmatch.arguments import found
 from magmatch.data.geodesy import Origin, local_east_north, local_east_north_up, look_like_radians, what_is_wrong
 from magmatch.data.tables.header_names import header_of
 from magmatch.data.tables.number_marks import plain_text
-from magmatch.data.tables.quaternions import QUATERNION, rotations_of
-from magmatch.data.tables.table import Table
+from magmatch.data.tables.table import QUATERNION, Table
 from magmatch.data.tables.text_rows import listed
 from magmatch.data.units import METRE_PER_UNIT, TESLA_PER_UNIT, FieldUnit, LengthUnit, size_of_unit
 from magmatch.errors import ConfigurationError, DataFormatError
@@ -161,7 +160,7 @@ def survey_arguments(
     table.require([*names, *FIELD_COLUMNS])
     if table.has("t"):
         table.require_increasing("t")
-    orientations, field = rotations_of(table), table.stack(*FIELD_COLUMNS) * tesla
+    orientations, field = table.rotations(), table.stack(*FIELD_COLUMNS) * tesla
     if field_frame == "sensor":
         if orientations is None:
             message = "field_frame 'sensor' needs orientations: columns qx, qy, qz, qw, or a trajectory file"

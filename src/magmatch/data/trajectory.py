@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from magmatch.arguments import column_of, expect_path, expect_rotations, points_of, require_increasing
 from magmatch.brief import brief
 from magmatch.data.tables.ordered_table import read_ordered
-from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table
 from magmatch.data.tables.tum import TUM_COLUMNS, write_tum
 from magmatch.errors import DataFormatError
@@ -110,7 +109,7 @@ class Trajectory:
     @classmethod
     def from_table(cls, table: Table) -> "Trajectory":
         """Poses of a table's columns, times in s."""
-        orientations = rotations_of(table)
+        orientations = table.rotations()
         if orientations is None or len(table) < 2:
             raise DataFormatError(table.path, f"expected at least two poses, found {len(table)}")
         return cls(table.columns["t"], table.stack("x", "y", "z"), orientations)

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from magmatch.compiled import compiled
 from magmatch.data.document import adapter_of
-from magmatch.data.tables.quaternions import MAX_NORM_ERROR
+from magmatch.data.tables.table import MAX_NORM_ERROR
 from magmatch.errors import first_fault
 from magmatch.localization.estimate import LocalizerStatus, PoseEstimate
 from magmatch.number_text import told

@@ -3,7 +3,7 @@
 
 import logging
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -30,8 +30,7 @@ from magmatch.data.survey_columns import (
     warn_of_unused_times,
 )
 from magmatch.data.tables.header_names import header_of, unit_of
-from magmatch.data.tables.quaternions import QUATERNION, rotations_of
-from magmatch.data.tables.table import Table, Wanted, read_table
+from magmatch.data.tables.table import QUATERNION, Table, Wanted, read_table
 from magmatch.data.tables.text import text_lines
 from magmatch.data.tables.text_rows import is_sample
 from magmatch.data.units import DIGITS_OF_SECOND, METRE_PER_UNIT, TESLA_PER_UNIT, UNITS_PER_SECOND
@@ -73,26 +72,20 @@ def read_columns(path: str | Path, layout: SurveyFormat) -> tuple[Table, ChosenC
     def choose(names: Sequence[str]) -> ChosenColumns:
         return choose_columns(path, names, stated, has_poses=has_poses)
 
-    header: list[str] = []
-
-    def check_numbered(names: Sequence[str]) -> None:
-        refuse_numbers_of_others(path, names, stated)
-        header.extend(names)
-
     wanted = Wanted(
         (*stated.values(), *COLUMNS),
         words=(FRAME_COLUMN,),
         choose=lambda names: choose(names).ours,
         numbered=column_numbers(stated),
-        check_numbered=check_numbered,
         decimal=layout.decimal or "",
         digits={"t": DIGITS_OF_SECOND[layout.time_unit]},
         recover=layout.recover,
         advise=advice_for,
     )
     table = read_table(path, wanted)
+    refuse_numbers_of_others(path, table.header, stated)
     chosen = choose(table.names)
-    _warn_of_units(path, {_word(theirs, header): ours for theirs, ours in chosen.ours.items()}, layout)
+    _warn_of_units(path, {_word(theirs, table.header): ours for theirs, ours in chosen.ours.items()}, layout)
     return chosen.of(table), chosen
 
 
@@ -155,21 +148,16 @@ def _read_one(
     return read_table(path, wanted, lines)
 
 
-def survey_of_table(
-    table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
-) -> Survey:
-    """Turn a table of samples, from whatever format, into a survey; its times are in s.
-
-    `advise` says how to name what is missing.
-    """
+def survey_of_table(table: Table, layout: SurveyFormat) -> Survey:
+    """Turn a table of samples, from whatever format, into a survey; its times are in s."""
     table = _at_rate(table, layout)
     turned = {name: -table.columns[name] for name in layout.reversed_columns() if table.has(name)}
     table = replace(table, columns=table.columns | turned)
     warn_of_unused_times(table)
     if layout.trajectory is not None:
-        survey = recording_of_table(table, layout, advise).survey()
+        survey = recording_of_table(table, layout).survey()
         return replace(survey, pose_sd=layout.pose_sd or 0.0)
-    _require_own_poses(table, advise(table.names))
+    _require_own_poses(table)
     table = _carried(table, layout)
     survey = Survey.from_table(table, layout.field_unit, layout.length_unit, layout.field_frame, layout.origin)
     return survey if layout.pose_sd is None else replace(survey, pose_sd=layout.pose_sd)
@@ -179,7 +167,7 @@ def _carried(table: Table, layout: SurveyFormat) -> Table:
     """The table with the sensor's poses, where its own are those of a body that carries the sensor."""
     if layout.extrinsic is None:
         return table
-    turns = rotations_of(table)
+    turns = table.rotations()
     if turns is None:
         message = "--extrinsic needs orientations, to tell where on the body the sensor is: columns qx, qy, qz, qw"
         raise DataFormatError(table.path, message)
@@ -193,11 +181,9 @@ def _carried(table: Table, layout: SurveyFormat) -> Table:
     return replace(table, columns=table.columns | dict(zip(names, poses.T, strict=True)))
 
 
-def recording_of_table(
-    table: Table, layout: SurveyFormat, advise: Callable[[Sequence[str]], str] = advice_for
-) -> Recording:
+def recording_of_table(table: Table, layout: SurveyFormat) -> Recording:
     """Join field samples with the poses of a trajectory file."""
-    hint = advise(table.names)
+    hint = table.advice
     if not table.has("t"):
         theirs = next((f": --columns t={name}" for name in table.names if header_of([name]).names == ("t",)), "")
         hint = "With a trajectory the samples need times on its clock" + (
@@ -250,9 +236,9 @@ def _at_rate(table: Table, layout: SurveyFormat) -> Table:
     return replace(table, columns=table.columns | {"t": rows / layout.rate})
 
 
-def _require_own_poses(table: Table, hint: str) -> None:
+def _require_own_poses(table: Table) -> None:
     """Raise DataFormatError, with advice, where columns of a survey are missing."""
-    names = position_columns(table)
+    names, hint = position_columns(table), table.advice
     missing = [name for name in names if not table.has(name)]
     if not missing:
         hint = f"All three components of the field are needed, its magnitude alone will not do. {hint}"

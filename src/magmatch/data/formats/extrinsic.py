@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from magmatch.data.tables.number_marks import number_of_text
-from magmatch.data.tables.quaternions import MAX_NORM_ERROR
+from magmatch.data.tables.table import MAX_NORM_ERROR
 from magmatch.data.tables.text import read_bytes
 from magmatch.data.tables.yaml_text import mapping_in, read_yaml
 from magmatch.errors import ConfigurationError, DataFormatError

@@ -5,7 +5,7 @@ import logging
 import struct
 import warnings
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 # Arrays named in a message, and structures within structures.
 MOST_LISTED, DEEPEST = 24, 8
+ADVICE = "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 # Types of parts, and classes of variables: MathWorks, "MAT-File Format", tables 1-1 and 1-3.
 MATRIX, COMPRESSED = 14, 15
 NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17, 18})
@@ -66,22 +67,17 @@ def read_mat(path: str | Path, layout: SurveyFormat) -> Table:
                 raise DataFormatError(
                     place, f"expected arrays {expected}; the file holds none: was it closed after writing?"
                 )
-            raise DataFormatError(place, f"expected arrays {expected}; found {found}. {advice_for_arrays()}")
+            raise DataFormatError(place, f"expected arrays {expected}; found {found}. {ADVICE}")
         chosen = choose_columns(place, names, stated, has_poses=layout.trajectory is None)
         ticks = {name: UNITS_PER_SECOND[layout.time_unit] for name, ours in chosen.ours.items() if ours == "t"}
         columns = {
             name: seconds_of_column(_column(place, name, arrays[name.partition(":")[0]]), ticks.get(name, 1.0))
             for name in chosen.ours
         }
-        table = chosen.of(table_of_columns(path, columns, recover=layout.recover))
+        table = replace(chosen.of(table_of_columns(path, columns, recover=layout.recover)), advice=ADVICE)
         # For the message about what is missing.
         is_whole = table.has(*position_columns(table), *FIELD_COLUMNS)
         return table if is_whole else replace(table, names=_leaves(content))
-
-
-def advice_for_arrays(_names: Sequence[str] = ()) -> str:
-    """Advise about a file whose arrays have other names."""
-    return "Say which arrays are the columns: --columns t=time,bx=mag:1,by=mag:2,bz=mag:3 (columns count from 1)"
 
 
 def _column(path: Path, name: str, array: np.ndarray) -> np.ndarray:

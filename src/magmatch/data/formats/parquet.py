@@ -12,6 +12,7 @@ import numpy as np
 
 from magmatch.atomic import atomic_write
 from magmatch.data.dataframes import level_of_dates
+from magmatch.data.formats.csv import advice_for
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.survey import Survey
 from magmatch.data.survey_columns import SCHEMA, choose_columns
@@ -39,9 +40,8 @@ def read_parquet(path: str | Path, layout: SurveyFormat) -> Table:
         }
         about = (file.schema_arrow.metadata or {}).get(SCHEMA.encode())
     comments = (f"{SCHEMA} {about.decode('utf-8', 'replace')}",) if about else ()
-    return replace(
-        chosen.of(table_of_columns(path, columns, recover=layout.recover, comments=comments)), names=tuple(names)
-    )
+    table = table_of_columns(path, columns, recover=layout.recover, comments=comments)
+    return replace(chosen.of(table), names=tuple(names), advice=advice_for(names))
 
 
 def _index_of_dates(path: str | Path, file: Any) -> dict[str, str]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from magmatch.data.logs.log import Log, Topic
 from magmatch.data.logs.messages import TREES, Decoder, Entries, Fault, Frames
-from magmatch.data.tables.quaternions import MAX_NORM_ERROR
+from magmatch.data.tables.table import MAX_NORM_ERROR
 from magmatch.data.tables.times import SECOND
 from magmatch.data.units import DAMAGED
 from magmatch.errors import DataFormatError

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magmatch.data.tables.quaternions import rotations_of
 from magmatch.data.tables.table import Table, Wanted, read_table
 from magmatch.data.tables.text_rows import listed, split_row
 from magmatch.data.tables.tum import TUM_COLUMNS
@@ -67,7 +66,7 @@ def read_motive(path: str | Path, lines: Sequence[str], length_unit: LengthUnit,
         logger.warning("%s: left out %d of %d frames in which %s is not seen", path, n - n_seen, n, bodies[0])
     table = read_table(path, Wanted(TUM_COLUMNS, ours, recover=recover), seen)
     logger.warning("%s: taken as y up, as Motive writes by default, and turned to z up", path)
-    positions, turns = table.stack("x", "y", "z"), rotations_of(table)
+    positions, turns = table.stack("x", "y", "z"), table.rotations()
     assert turns is not None  # its columns are required
     scale = METRE_PER_UNIT[_UNITS[stated]] / METRE_PER_UNIT[length_unit]
     upright = np.hstack([scale * UPRIGHT.apply(positions), (UPRIGHT * turns).as_quat()])

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from magmatch.atomic import atomic_write
 from magmatch.data.tables.number_marks import Decimal, decimal_of_cells
@@ -20,7 +21,6 @@ from magmatch.data.tables.text_rows import (
     advice_on_comments,
     is_sample,
     listed,
-    names_of,
     numbered_names,
     rows_of,
 )
@@ -34,6 +34,9 @@ logger = logging.getLogger(__name__)
 SURE_NAMES = 3
 # Rows that are written at a time.
 CHUNK_ROWS = 20_000
+QUATERNION = ("qx", "qy", "qz", "qw")
+# Two decimals, the coarsest rounding seen in logs, move the norm by at most 1 %; more than 5 % is no quaternion.
+MAX_NORM_ERROR = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,7 +51,9 @@ class Table:
     # Columns of words that were asked for and are there, with the word of each row
     words: Mapping[str, Sequence[str]] = field(default_factory=dict)
     decimal: Decimal = "point"  # the mark of the numbers in the file
+    header: tuple[str, ...] = ()  # the names as they stand there, lower case; none where numbers stand in their place
     header_line: int | None = None  # the line of names, counted from 1
+    advice: str = ""  # what to do where columns are missing
 
     def __len__(self) -> int:
         return len(self.line_numbers)
@@ -57,12 +62,12 @@ class Table:
         """Whether all these columns are there."""
         return all(name in self.columns for name in names)
 
-    def require(self, names: Sequence[str], hint: str = "") -> None:
+    def require(self, names: Sequence[str], advice: str = "") -> None:
         """Raise DataFormatError, naming what was expected and found, unless all these columns are there."""
         missing = [name for name in names if name not in self.columns]
         if missing:
             message = f"expected columns {', '.join(names)}; missing {', '.join(missing)}; found {listed(self.names)}"
-            raise DataFormatError(self.path, f"{message}. {hint}" if hint else message, line=self.header_line)
+            raise DataFormatError(self.path, _advised(message, advice or self.advice), line=self.header_line)
 
     def renamed(self, names: Mapping[str, str]) -> "Table":
         """Return the table with columns under other names, given as {old: new}."""
@@ -72,6 +77,26 @@ class Table:
     def stack(self, *names: str) -> Matrix:
         """Columns side by side: (n, k)."""
         return np.column_stack([self.columns[name] for name in names])
+
+    def rotations(self) -> Rotation | None:
+        """Orientations of the rows; None where no column is one of a quaternion."""
+        present = [name for name in QUATERNION if self.has(name)]
+        if not present:
+            return None
+        if len(present) < len(QUATERNION):
+            missing = ", ".join(name for name in QUATERNION if name not in present)
+            message = f"half a quaternion: found {', '.join(present)}, missing {missing}"
+            raise DataFormatError(self.path, message, column=missing)
+        quaternions = self.stack(*QUATERNION)
+        with np.errstate(over="ignore"):  # absurd numbers become infinite, and are refused as such
+            norms = np.linalg.norm(quaternions, axis=1)
+        wrong = np.flatnonzero(np.abs(norms - 1) > MAX_NORM_ERROR)
+        if len(wrong):
+            row = int(wrong[0])
+            found = "a zero quaternion" if norms[row] == 0 else f"one of length {norms[row]:.4g}"
+            message = f"expected a unit quaternion, found {found}"
+            raise DataFormatError(self.path, message, line=int(self.line_numbers[row]), column="qx..qw")
+        return Rotation.from_quat(quaternions)
 
     def require_increasing(self, name: str) -> None:
         """Raise DataFormatError at the first row where a column does not increase."""
@@ -99,8 +124,6 @@ class Wanted:
     # Picks the columns, {theirs: ours}, from the names there are, where names alone do not tell.
     choose: Callable[[Sequence[str]], Mapping[str, str]] | None = None
     numbered: Sequence[int] = ()  # columns known by number, counted from 1, for which no header is needed
-    # Refuses numbers that the names of a header (lower case) contradict.
-    check_numbered: Callable[[Sequence[str]], None] = lambda _: None
     # Which mark is decimal, where the numbers leave that in doubt; "": not stated. None: there is no such choice.
     decimal: Decimal | Literal[""] | None = None
     # Columns that count units of 10**-digits, by our names, such as {"t": 9}; returned in whole units, rounded once.
@@ -108,7 +131,7 @@ class Wanted:
     # Whether to leave out rows that cannot be read, and say how many; None: there is no such choice.
     recover: bool | None = None
     header_line: int | None = None  # the line of names, where it is known; else the first row that is sure to be it
-    # What to do about a file that has none of the columns, from the names it has.
+    # What to do about a file without some of the columns, from the names it has.
     advise: Callable[[Sequence[str]], str] = lambda _: ""
 
     def chosen(self, names: Sequence[str]) -> Mapping[str, str]:
@@ -139,8 +162,10 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
     rows = rows_of(path, text_lines(path) if lines is None else lines, wanted.is_header)
     if not rows.at:
         raise DataFormatError(path, "holds only comments and blank lines, expected rows of numbers")
-    names, is_header = _names(path, rows, wanted)
+    cells = [] if wanted.names is not None else [cell.lower() for cell in rows.header()]
+    names, is_header = _names(path, rows, cells, wanted)
     header_line = rows.at[0] + 1 if is_header else None
+    header = tuple(cells) if is_header else ()
     rows = replace(rows, at=rows.at[is_header:])
     try:
         chosen = wanted.chosen(names)
@@ -155,8 +180,7 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
             message += advice_on_comments(rows.comments, len(names))
         if is_header and not any(map(is_sample, next(rows.cells())[1])):
             message += "; if the header stands further down, delete the rows above it"
-        advice = wanted.advise(names)
-        raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=header_line)
+        raise DataFormatError(path, _advised(message, wanted.advise(names)), line=header_line)
     marked = ((line, [cells[k] for k in places.values() if k < len(cells)]) for line, cells in rows.cells())
     reader = NumberReader(
         path,
@@ -172,20 +196,31 @@ def read_table(path: str | Path, wanted: Wanted, lines: Sequence[str] | None = N
     )
     block, line_numbers, words = reader.read(rows.cells())
     columns = {name: block[:, k].copy() for k, name in enumerate(places)}
-    return Table(Path(path), names, columns, line_numbers, tuple(rows.comments), words, reader.decimal, header_line)
+    comments = tuple(rows.comments)
+    about = reader.decimal, header, header_line, wanted.advise(names)
+    return Table(Path(path), names, columns, line_numbers, comments, words, *about)
 
 
-def _names(path: str | Path, rows: Rows, wanted: Wanted) -> tuple[tuple[str, ...], bool]:
-    """Names of all columns, lower case, and whether the first row is a header."""
+def _names(path: str | Path, rows: Rows, cells: list[str], wanted: Wanted) -> tuple[tuple[str, ...], bool]:
+    """Names of all columns, lower case, and whether the first row, of these cells, is a header."""
     if wanted.names is not None:
         return tuple(wanted.names), False
-    cells = [cell.lower() for cell in rows.header()]
     if wanted.numbered:
-        names, is_header = numbered_names(cells, wanted.numbered)
-        if is_header:
-            wanted.check_numbered(cells)
-        return names, is_header
-    return names_of(path, cells, rows.at[0] + 1, wanted.known, rows.comments, wanted.advise), True
+        return numbered_names(cells, wanted.numbered)
+    line = rows.at[0] + 1
+    if all(map(is_sample, cells)):
+        message = f"expected a header row that names the columns ({', '.join(wanted.known)}), found numbers"
+        message += advice_on_comments(rows.comments, len(cells))
+        raise DataFormatError(path, _advised(message, wanted.advise(cells)), line=line)
+    for name in cells:
+        if name in wanted.known and cells.count(name) > 1:
+            message = f"the column appears {cells.count(name)} times; rename the others"
+            raise DataFormatError(path, message, line=line, column=name)
+    return tuple(cells), True
+
+
+def _advised(message: str, advice: str) -> str:
+    return f"{message}. {advice}" if advice else message
 
 
 def table_of_columns(

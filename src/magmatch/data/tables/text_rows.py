@@ -3,7 +3,7 @@
 
 import csv
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,27 +131,6 @@ def split_header(first: str, delimiter: str | None) -> list[str]:
     while names and not names[-1]:
         names.pop()
     return names
-
-
-def names_of(
-    path: str | Path,
-    names: list[str],
-    line: int,
-    known: Collection[str],
-    comments: Sequence[str],
-    advise: Callable[[Sequence[str]], str] = lambda _: "",
-) -> tuple[str, ...]:
-    """Names of the columns (lower case), once they are fit for it."""
-    if all(map(is_sample, names)):
-        message = f"expected a header row that names the columns ({', '.join(known)}), found numbers"
-        message += advice_on_comments(comments, len(names))
-        advice = advise(names)
-        raise DataFormatError(path, f"{message}. {advice}" if advice else message, line=line)
-    for name in names:
-        if name in known and names.count(name) > 1:
-            message = f"the column appears {names.count(name)} times; rename the others"
-            raise DataFormatError(path, message, line=line, column=name)
-    return tuple(names)
 
 
 def numbered_names(names: list[str], numbers: Sequence[int]) -> tuple[tuple[str, ...], bool]:
