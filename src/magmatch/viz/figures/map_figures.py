@@ -106,22 +106,3 @@ def spread_figure(field_map: FieldMap, cut: Cut, sd: Scalars) -> draw.Figure:
     return slice_figure(
         "Standard deviation of a component", cut, sd, is_known, limits, draw.SPREAD_SCALE, [marks], note
     )
-
-
-def coverage_figure(coverage: Coverage) -> draw.Figure:
-    """Cumulative distribution of the standard deviation over the known part."""
-    sd = draw.UT_PER_TESLA * coverage.sd[np.linspace(0, len(coverage.sd) - 1, min(len(coverage.sd), 300)).astype(int)]
-    share = np.linspace(0, 1, len(sd))
-    line = {"color": draw.BASE_COLOR, "width": 2.5}
-    curve = draw.flat(np.column_stack([sd, share]), "lines", line=line, showlegend=False)
-    half = draw.UT_PER_TESLA * (coverage.quantile(0.5) or 0.0)
-    figure = draw.new_plane(
-        "Uncertainty over the known part<br><sub>share of the known volume with a smaller standard deviation</sub>",
-        [curve],
-        "standard deviation of a component (uT)",
-        "share",
-        f"Curve of the share of the known part by standard deviation: half is below {half:.3g} uT.",
-        is_equal=False,
-    )
-    figure.update_yaxes(range=[0, 1.02])
-    return figure

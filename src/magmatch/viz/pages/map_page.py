@@ -14,7 +14,6 @@ from magmatch.number_text import told
 from magmatch.viz.figures.map_figures import (
     Coverage,
     cover_and_spread,
-    coverage_figure,
     field_figures,
     left_out,
     spread_figure,
@@ -53,7 +52,6 @@ def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[page.
     coverage, sd = cover_and_spread(field_map, cut.points)
     out = [survey.subset(left_out(field_map, survey)) for survey in read]
     main, *others = field_figures(field_map)
-    curve = [page.figure_row([coverage_figure(coverage)])] if len(coverage.sd) else []
     return [
         page.Section("", [page.paragraph(_coverage_words(coverage))]),
         page.Section(
@@ -61,8 +59,7 @@ def map_sections(field_map: FieldMap, read: Sequence[Survey] = ()) -> list[page.
         ),
         _samples(field_map, out),
         page.Section(
-            "Coverage",
-            [page.columns([page.table(_facts(field_map))], [page.table(_coverage_rows(coverage))]), *curve],
+            "Coverage", [page.columns([page.table(_facts(field_map))], [page.table(_coverage_rows(coverage))])]
         ),
         _prior(field_map),
     ]
