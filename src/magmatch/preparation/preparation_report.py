@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from pydantic import GetPydanticSchema
-from pydantic_core.core_schema import no_info_after_validator_function
-from typing_extensions import TypedDict
+from pydantic import PlainValidator
 
 from magmatch._version import __version__
 from magmatch.brief import brief
@@ -35,20 +33,6 @@ class StepReport:
     figures: Mapping[str, Any] = field(default_factory=dict)  # numbers for programs, SI; ready for JSON
 
 
-class Correction(TypedDict):
-    """A sensor in a file: ``b_true = matrix b_read - shift``, T, sensor frame."""
-
-    matrix: list[list[float]]
-    shift: list[float]
-
-
-READ_SENSOR = GetPydanticSchema(
-    lambda _, handler: no_info_after_validator_function(
-        SensorCorrection.from_dict, handler.generate_schema(Correction)
-    )
-)
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class PreparationReport(TypedDocument):
     """The account of what was done to a log."""
@@ -62,7 +46,7 @@ class PreparationReport(TypedDocument):
     steps: tuple[StepReport, ...]  # in the order they were done
     config: Mapping[str, Any]  # the resolved configuration
     # The correction as a whole, with a known one that was made first: what another log of this sensor can begin from
-    sensor: Annotated[SensorCorrection, READ_SENSOR]
+    sensor: Annotated[SensorCorrection, PlainValidator(SensorCorrection.from_dict)]
     inputs: tuple[Mapping[str, str], ...]  # name and SHA-256 of the files, where known
     version: str  # of the package
 

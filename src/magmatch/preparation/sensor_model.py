@@ -10,6 +10,7 @@ allowed beyond is what soft iron may be at most.
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -51,14 +52,15 @@ class SensorCorrection:
     currents: Mapping[str, Vector3] = field(default_factory=dict)
 
     @classmethod
-    def from_dict(cls, content: Mapping[str, Any]) -> "SensorCorrection":
+    def from_dict(cls, content: Any) -> "SensorCorrection":
         """Matrix and shift as a file holds them; ValueError where they are none."""
-        matrix, shift = (np.array(content[name], dtype=np.float64) for name in ("matrix", "shift"))
-        is_one = matrix.shape == (3, 3) and shift.shape == (3,) and bool(np.isfinite([*matrix, shift]).all())
-        if not is_one or not 0.1 < abs(np.linalg.det(matrix)) < 10:
-            msg = "expected a 3x3 matrix near the identity and 3 numbers"
-            raise ValueError(msg)
-        return cls(matrix, shift)
+        with suppress(KeyError, TypeError, ValueError):
+            matrix, shift = (np.array(content[name], dtype=np.float64) for name in ("matrix", "shift"))
+            is_one = matrix.shape == (3, 3) and shift.shape == (3,) and bool(np.isfinite([*matrix, shift]).all())
+            if is_one and 0.1 < abs(np.linalg.det(matrix)) < 10:
+                return cls(matrix, shift)
+        msg = "expected matrix, 3x3 near the identity, and shift, 3 numbers"
+        raise ValueError(msg)
 
     def as_dict(self) -> dict[str, Any]:
         """Matrix and shift, ready for JSON: what holds for any log of the sensor."""
