@@ -42,18 +42,14 @@ def load_trajectory(path: str | Path, layout: SurveyFormat, time_unit: TimeUnit 
 
 
 def with_poses(
-    path: str | Path,
-    times: Scalars,
-    field: Vectors,
-    layout: SurveyFormat,
-    hint: str = "",
-    trajectory: Trajectory | None = None,
+    path: str | Path, times: Scalars, field: Vectors, layout: SurveyFormat, trajectory: Trajectory | None = None
 ) -> Recording:
     """Field samples (s; T) with poses: those given, else of the trajectory file that the layout names."""
     if trajectory is None:
         if layout.trajectory is None:
             message = "holds no positions (a phone records none in metres); they come from a trajectory: --trajectory"
-            raise DataFormatError(path, f"{message} POSES.tum{hint}")
+            advice = "'magmatch odometry' makes one where a phone's log holds accelerometer and gyroscope"
+            raise DataFormatError(path, f"{message} POSES.tum ({advice})")
         trajectory = load_trajectory(layout.trajectory, layout)
     return Recording(
         path=Path(path),

@@ -86,8 +86,7 @@ def read_phone_recording(
     if is_raw or (sensor is None and layout.field_unit == "uT"):
         _warn_of_an_offset(path, stream, is_raw=is_raw)
     field = layout.turned(stream.values / TESLA_PER_UNIT["uT"] * TESLA_PER_UNIT[layout.field_unit])
-    hint = "" if layout.trajectory or trajectory is not None else _odometry_hint(path)
-    return replace(with_poses(path, stream.times, field, layout, hint, trajectory), waypoints=points)
+    return replace(with_poses(path, stream.times, field, layout, trajectory), waypoints=points)
 
 
 def _warn_of_an_offset(path: str | Path, stream: Stream, *, is_raw: bool) -> None:
@@ -108,13 +107,3 @@ def _with_points(path: str | Path, sensor: Sensor, layout: SurveyFormat) -> Phon
         log = read_phone_log(path, (sensor,), recover=layout.recover)
         logger.warning("%s (none of its surveyed points is read)", fault)
         return log
-
-
-def _odometry_hint(path: str | Path) -> str:
-    """Say where poses may come from, if the log holds what they are made of."""
-    try:
-        found = read_phone_log(path, recover=True).streams.keys()
-    except DataFormatError:
-        return ""
-    can = "rate" in found and ("acceleration" in found or {"linear_acceleration", "gravity"} <= found)
-    return " ('magmatch odometry' makes one from accelerometer and gyroscope)" if can else ""
