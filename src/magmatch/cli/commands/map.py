@@ -2,7 +2,7 @@
 """``magmatch map``: infer the field of a place and save it."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -123,23 +123,11 @@ def draw(report: Path | None, field_map: "FieldMap", read: "Sequence[Survey]", c
 
 def extend(path: Path, more: Sequence[Path], layouts: Layouts, out: Path, run: "Workers | None") -> "FieldMap":
     """Add surveys to a saved map."""
-    n_fitted = 0
-
-    def counting(fit: "Callable[[Any], Any]", tasks: "Iterable[Any]") -> "Iterator[Any]":
-        nonlocal n_fitted
-        for weights in (run or map)(fit, tasks):
-            n_fitted += 1
-            yield weights
-
     old, surveys = read_map(path), [read_samples(one, layouts) for one in more]
     refuse_repeats([*[path] * len(old.surveys), *more], [*old.surveys, *surveys])
-    new = old.with_surveys(*surveys, run=counting)
+    new = old.with_surveys(*surveys, run=run)
     new.save(out)
-    fitted = f"{n_fitted} tiles" if new.config.prior == "spline" else "the whole map"  # other priors have no tiles
-    say(
-        f"Added {len(new.survey) - len(old.survey)} samples to {len(old.survey)}; fitted {fitted} again\n"
-        f"Wrote the map to {out}"
-    )
+    say(f"Added {len(new.survey) - len(old.survey)} samples to {len(old.survey)}\nWrote the map to {out}")
     return new
 
 
