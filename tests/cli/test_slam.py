@@ -107,7 +107,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(refused, logs, tmp_path, words
 
 @pytest.mark.parametrize("name", ["slam", "merge"])
 def test_the_graph_is_for_gtsam_where_that_is_asked_for(run, logs, place, tmp_path, name):
-    files = [logs / "short.csv"] if name == "slam" else [place / "base.csv", place / "target.csv"]
+    files = [logs / "short.csv"] if name == "slam" else [place / "base.map", place / "target.map"]
     written = []
     for tangent in ("quaternion", "angle"):
         done = run(name, *files, "--g2o-rotation", tangent, "--out", tmp_path / tangent)
@@ -115,6 +115,7 @@ def test_the_graph_is_for_gtsam_where_that_is_asked_for(run, logs, place, tmp_pa
         lines = (tmp_path / tangent / "graph.g2o").read_text().splitlines()
         written.append(np.array([line.split()[10:] for line in lines if line.startswith("EDGE")], float))
     assert "--g2o-rotation angle" in (tmp_path / "angle" / "report.html").read_text()
+    assert len(written[0]) > 0
     # Translation, then rotation: upper triangles by rows. Twice as long an error has a quarter of the information.
     scale = np.ones((6, 6))
     scale[:3, 3:], scale[3:, 3:] = 2, 4

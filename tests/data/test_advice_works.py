@@ -120,8 +120,6 @@ READ_AS_THEY_ARE = {
     "a stated delimiter that is not used": table(above="sep=;"),
     "a stated tab": table(mark="\t", above="sep=\t"),
     "a comment above": table(mark=";", above="# Excel\nsep=;"),
-    "a minus sign": table().replace("-", "\u2212"),
-    "dashes and decimal commas": table(mark=";", cell=commas).replace("-", "\u2013"),
 }
 
 

@@ -112,12 +112,6 @@ def test_other_columns_without_header_stay_beside_the_samples(tmp_path):
     np.testing.assert_array_equal(channels["8"], np.arange(N))
 
 
-def test_other_columns_of_a_table_without_times_stay_beside_the_samples_row_by_row(tmp_path):
-    path = write(tmp_path / "s.csv", "x,y,z,bx,by,bz,motor", np.column_stack([ROWS[:, 1:], np.arange(N)]))
-    _, channels = read_survey_and_channels(path, SurveyFormat(field_unit="uT"))
-    np.testing.assert_array_equal(channels["motor"], np.arange(N))
-
-
 @pytest.mark.parametrize("first", ["0.0", "2026-05-01T10:00:00Z"])
 def test_a_table_without_header_says_how_to_state_numbers(first, tmp_path):
     path = write(tmp_path / "s.csv", "", [[first, *row[1:]] for row in ROWS.tolist()])
@@ -190,13 +184,6 @@ def test_dates_keep_their_nanoseconds_until_they_are_rounded_once(tmp_path):
     rows = [[f"2023-11-14T22:13:20.{123456789 + 1000 * i}Z", *ROWS[i, 1:]] for i in range(N)]
     times = read(write(tmp_path / "s.csv", "t,x,y,z,bx,by,bz", rows)).times
     assert times.tolist() == [(1_700_000_000_123_456_789 + 1000 * i) / 10**9 for i in range(N)]
-
-
-def test_dates_are_in_seconds_whatever_the_unit_of_time(door):
-    pd = pytest.importorskip("pandas")
-    dates = pd.to_datetime(1_700_000_000 + np.arange(N), unit="s")
-    own = {"t": dates} | dict(zip(["x", "y", "z", "bx", "by", "bz"], ROWS[:, 1:].T, strict=True))
-    np.testing.assert_array_equal(door(own, {}).times, 1_700_000_000 + np.arange(N))
 
 
 def test_a_rate_gives_samples_their_times(tmp_path, caplog):

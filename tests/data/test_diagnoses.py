@@ -18,7 +18,7 @@ from magmatch.data.survey import Survey
 EARTH = np.array([3e-6, 18e-6, -45e-6])
 
 
-def walk(seed=0, wild=4e-6, n=800):
+def walk(seed=0, wild=4e-6, n=500):
     """Round a hall, twice, by someone who holds a phone that leans and sways; the field varies over a metre."""
     rng = np.random.default_rng(seed)
     t = np.linspace(0, 4 * np.pi, n)

@@ -2,6 +2,7 @@
 """A saved map is the map, to the bit; whatever is not one is refused in one line."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ def make_survey(n=60, seed=0, **changes):
     return Survey(**(fields | changes))
 
 
+@cache
 def make_map(prior="spline", **changes):
     config = FieldConfig(prior=prior, lengthscale=0.8, signal_sd=1e-5, noise_sd=1e-7, spacing=0.5)
     return build_map(make_survey(**changes), config)

@@ -51,13 +51,10 @@ def failing(error):
 
 FAULTS = {
     "disk full at once": (errno.ENOSPC, lambda e: full(e, 0)),
-    "disk full on the way": (errno.ENOSPC, lambda e: full(e, 60)),
     "disk that fails on the way": (errno.EIO, lambda e: full(e, 60)),
     "quota used up": (errno.EDQUOT, lambda e: full(e, 1)),
-    "disk full when flushed": (errno.ENOSPC, lambda e: ("magmatch.atomic.os.fsync", failing(e))),
     "disk that fails when flushed": (errno.EIO, lambda e: ("magmatch.atomic.os.fsync", failing(e))),
     "no room for the name": (errno.ENOSPC, lambda e: ("pathlib.Path.replace", failing(e))),
-    "disk that fails when renaming": (errno.EIO, lambda e: ("pathlib.Path.replace", failing(e))),
 }
 
 

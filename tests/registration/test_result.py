@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from magmatch.data.fingerprint import describe_input, hash_survey
 from magmatch.data.survey import Survey
@@ -161,7 +161,7 @@ def test_file_from_elsewhere_needs_schema_status_and_transform_only(tmp_path):
     path.write_text(
         json.dumps({"schema": "magmatch.registration/1", "status": "accepted", "T_base_target": T, "x": 1})
     )
-    assert RegistrationResult.load(path).is_accepted
+    np.testing.assert_array_equal(RegistrationResult.load(path).T_base_target.as_matrix(), T)
 
 
 BAD = {
@@ -282,8 +282,3 @@ def test_hash_changes_with_the_content(name):
 
 def test_hash_tells_missing_times_from_given_ones():
     assert len({hash_survey(survey(times=None)), hash_survey(survey()), hash_survey(survey(orientations=None))}) == 3
-
-
-def test_loaded_identity_is_not_mistaken_for_missing(tmp_path):
-    accepted(T_base_target=RigidTransform.identity()).save(tmp_path / "r.json")
-    assert np.array_equal(RegistrationResult.load(tmp_path / "r.json").T_base_target.as_matrix(), np.eye(4))

@@ -12,7 +12,7 @@ from magmatch.data.survey import Survey
 from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import log_odds
 from magmatch.field.build import build_map
-from magmatch.field.config import SPLINE, FieldConfig
+from magmatch.field.config import FieldConfig
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
@@ -27,14 +27,16 @@ from magmatch.registration.weigh.bend import Bend
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
 
+NUMBERS = FieldConfig(prior="spline", lengthscale=0.6, signal_sd=8e-6, noise_sd=4e-7, spacing=0.4)
+
 
 def test_a_walk_is_compared_with_every_sample_that_was_given():
     """A map leaves out what contradicts the rest; the walk's answer does not depend on one having been made."""
     made = simulate("office-hand-held", 3, SimulationConfig(n_samples=2000))
     config = RegistrationConfig(search="pairs")
     # This base passes places twice: it shows what residuals along a path are like.
-    base, target = prepare_index(build_map(made.base, SPLINE)), made.target.subset(np.arange(240))
-    fewer = build_map(target.subset(np.arange(0, len(target), 2)), SPLINE)
+    base, target = prepare_index(build_map(made.base, NUMBERS)), made.target.subset(np.arange(240))
+    fewer = build_map(target.subset(np.arange(0, len(target), 2)), NUMBERS)
     alone, mapped = (register_once(base, used, target, config, 0, Clock())[2] for used in (target, fewer))
     assert alone.is_accepted, alone.reason
     assert alone.evidence == mapped.evidence
@@ -196,8 +198,7 @@ def test_a_duplicated_sample_adds_next_to_nothing():
     The map's numbers are given, for learned ones believe in less noise where samples agree to the bit.
     """
     made = simulate("office-random", 3, SimulationConfig(n_samples=300, room_size=(2.0, 2.0, 0.8)))
-    numbers = {"lengthscale": 0.6, "signal_sd": 8e-6, "noise_sd": 4e-7, "spacing": 0.4}
-    config = RegistrationConfig.model_validate({"field": numbers, "calibrate": False})
+    config = RegistrationConfig(field=NUMBERS, calibrate=False)
 
     def times(n, survey):
         rows = np.repeat(np.arange(len(survey)), n)

@@ -241,16 +241,16 @@ def test_logs_stated_as_planar_that_lie_at_two_heights_are_warned_of(lone, caplo
     assert "stated as planar, but heights go from" in caplog.text
 
 
-def test_a_log_at_another_height_is_joined_when_it_is_added_as_when_all_are_given(three, caplog):
-    a, b, _ = three.logs
+def test_a_log_at_another_height_is_joined_when_it_is_added_as_when_all_are_given(lone, three, caplog):
+    b = three.logs[1]
     high = replace(b, positions=b.positions + np.array([0.0, 0.0, 3.0]))
-    session = mm.slam(a)
+    session = replace(lone.session)
     assert session.config.is_planar
     session.add_log(high)
     assert "b.csv: lies at another height" in caplog.text
     assert not session.config.is_planar
     assert len(session.components) == 1
-    assert len(mm.slam([a, high]).components) == 1
+    assert len(mm.slam([lone.log, high]).components) == 1
 
 
 def test_a_live_walk_whose_end_was_interrupted_is_finished_again(lone):

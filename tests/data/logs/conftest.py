@@ -263,6 +263,12 @@ def flight():
     return make_flight()
 
 
+@pytest.fixture
+def saved(made, tmp_path):
+    """Write topics as MCAP (quick and small)."""
+    return lambda *series: made.mcap(tmp_path / "log.mcap", list(series))
+
+
 def refuse(path, expected=DataFormatError, **settings):
     """The words of the one error with which a log is refused."""
     with pytest.raises(expected) as caught:

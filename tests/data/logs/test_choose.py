@@ -21,16 +21,6 @@ POSE_TYPES = {
 TF = "tf2_msgs/msg/TFMessage"
 
 
-@pytest.fixture
-def saved(made, tmp_path):
-    """Write topics as MCAP (quick and small)."""
-
-    def write(*series):
-        return made.mcap(tmp_path / "log.mcap", list(series))
-
-    return write
-
-
 def static(made, flight, values, frame, child):
     return made.Series("/tf_static", TF, flight.pose_ns[:1], values, frame=frame, child=child)
 
@@ -76,17 +66,29 @@ def test_a_choice_between_topics_is_said(made, flight, saved, caplog):
 SETS_POSES = ["/goal_pose", "/mavros/setpoint_position/local", "/initialpose", "/Target/pose", "/waypoints"]
 
 
-@pytest.mark.parametrize("name", SETS_POSES)
-def test_goals_are_no_path_where_a_topic_or_tf_has_one(name, made, flight, saved, caplog):
+def goals_of(made, odom, name):
+    """As many poses as the odometry has, and others."""
+    return made.replace(odom, type=POSE_TYPES["PoseStamped"], topic=name, values=odom.values[::-1])
+
+
+def test_goals_are_no_path_where_a_topic_or_tf_has_one(made, flight, saved, caplog):
     mag, odom = flight.series
-    goals = made.replace(odom, type=POSE_TYPES["PoseStamped"], topic=name, values=odom.values[::-1])
+    goals = [goals_of(made, odom, name) for name in SETS_POSES]
+    long_before = {"log_ns": mag.log_ns[0] - np.array([9, 5]) * SECOND, "stamp_ns": None, "values": odom.values[:2]}
     slow = made.replace(odom, topic="/pose", log_ns=odom.log_ns[::2], stamp_ns=None, values=odom.values[::2])
     tf = made.replace(odom, topic="/tf", type=TF, child="mag_link")
     for path in (slow, tf):
         expected = read_survey(saved(mag, path))
-        np.testing.assert_array_equal(read_survey(saved(mag, path, goals)).positions, expected.positions)
+        for sets in (goals, [made.replace(goal, **long_before) for goal in goals]):
+            np.testing.assert_array_equal(read_survey(saved(mag, path, *sets)).positions, expected.positions)
     assert "goals or starts" not in caplog.text
-    asked = read_survey(saved(mag, slow, goals), SurveyFormat(pose_topic=name))
+
+
+@pytest.mark.parametrize("name", SETS_POSES)
+def test_goals_are_a_path_where_they_are_asked_for_or_alone(name, made, flight, saved, caplog):
+    mag, odom = flight.series
+    goals = goals_of(made, odom, name)
+    asked = read_survey(saved(mag, odom, goals), SurveyFormat(pose_topic=name))
     assert "goals or starts" not in caplog.text
     alone = read_survey(saved(mag, goals))
     np.testing.assert_array_equal(alone.positions, asked.positions)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from magmatch.data.formats.format import SurveyFormat
 from magmatch.data.read import read_survey
 
-TF, STRING, POSE = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "geometry_msgs/msg/PoseStamped"
+TF, STRING = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 MAST, LINK = np.array([[0.1, -0.2, 0.3, 0.0, 0.6, 0.0, 0.8], [0.0, 0.05, 0.1, 0.48, 0.0, 0.6, 0.64]])
 WHOLE = RigidTransform.from_components(MAST[:3], Rotation.from_quat(MAST[3:])) * RigidTransform.from_components(
     LINK[:3], Rotation.from_quat(LINK[3:])
@@ -141,16 +141,6 @@ def test_a_description_that_does_not_say_it_is_none(text, made, flight, said, ca
 def test_damage_of_tf_is_no_reason_to_refuse_what_has_its_own_poses(said, edge, caplog):
     said(edge(np.full(7, np.nan), "base", "mag_link"))
     assert "nothing says where 'mag_link' sits on 'base'" in caplog.text
-
-
-def test_a_goal_is_no_path_where_tf_has_one(made, flight, tmp_path):
-    mag, odom = flight.series
-    tf = made.replace(odom, topic="/tf", type=TF)
-    one = made.Series("/goal_pose", POSE, odom.log_ns[:1], odom.values[:1])
-    before = made.Series("/initialpose", POSE, mag.log_ns[0] - np.array([9, 5]) * 1_000_000_000, odom.values[:2])
-    expected = read_survey(made.mcap(tmp_path / "log.mcap", [mag, tf]))
-    for goal in (one, before):
-        close(read_survey(made.mcap(tmp_path / "goal.mcap", [mag, tf, goal])), expected, atol=0)
 
 
 @pytest.mark.parametrize("slash", ["", "/"])

@@ -71,11 +71,6 @@ def test_an_edge_reversed_with_its_transform_inverted_changes_nothing(turned, ma
     close(read_survey(made.mcap(tmp_path / "other.mcap", [mag, *other]), LAYOUT), expected)
 
 
-def test_poses_without_frames_named_run_from_the_root(made, flight, chain, tmp_path):
-    path = made.mcap(tmp_path / "log.mcap", [flight.series[0], *chain])
-    close(read_survey(path), read_survey(path, LAYOUT))
-
-
 def test_simulated_clocks_begin_at_zero(made, flight, tmp_path, caplog):
     """A stamp of zero is one where the message was logged at zero; elsewhere it is none, and left out."""
     mag, odom = flight.series

@@ -36,11 +36,6 @@ def _thinned(series, which, values=None):
     return {"log_ns": series.log_ns[which], "stamp_ns": series.stamp_ns[which], "values": values[which]}
 
 
-@pytest.fixture
-def saved(made, tmp_path):
-    return lambda *series: made.mcap(tmp_path / "log.mcap", list(series))
-
-
 def same(survey, expected):
     np.testing.assert_array_equal(survey.positions, expected.positions)
     np.testing.assert_array_equal(survey.field, expected.field)

@@ -182,16 +182,18 @@ def test_sums_over_cells_scatter_as_samples_do_where_those_are_independent_and_m
     assert excess(rng.normal(size=125)[cell]) == pytest.approx(n / 125 / 6, rel=0.3)
 
 
-def test_the_jacobian_is_the_derivative_of_the_residual():
+@pytest.mark.parametrize("sensors", ["bias", "scale", "full"])
+def test_the_jacobian_is_the_derivative_of_the_residual(sensors):
     base, target = pair_of(n=60)
-    sensor, T = identical_sensors("scale", 1), turn_about(np.zeros(3), np.full(6, 0.05))
-    pose = RefinedPose(T, target.samples.mean(axis=0), sensor, np.ones(4), np.zeros((6, 6)), ())
+    sensor, T = identical_sensors(sensors, 1), turn_about(np.zeros(3), np.full(6, 0.05))
+    n = sensor.n_parameters
+    pose = RefinedPose(T, target.samples.mean(axis=0), sensor, np.ones(n), np.zeros((6, 6)), ())
     rows = np.arange(60), np.arange(60)
 
     def residuals(xi):
         return [side.residual for side in look_up(base, target, pose.stepped(xi), rows)]
 
-    steps = np.diag([1e-5] * 6 + [1e-9] * 3 + [1e-6])
+    steps = np.diag([1e-5] * 6 + [1e-9] * 3 + [1e-6] * (n - 3))
     for k, side in enumerate(look_up(base, target, pose, rows)):
         numeric = np.stack([(residuals(e)[k] - residuals(-e)[k]) / (2 * e.max()) for e in steps], axis=2)
         J = residual_jacobian(side, pose)
