@@ -3,13 +3,15 @@
 
     python benchmarks/experiments/same_answers.py make PAIRS [--from DIR]     surveys of all pairs, once
     python benchmarks/experiments/same_answers.py run PAIRS ANSWERS.jsonl [--like TEXT] [--jobs N]
-    python benchmarks/experiments/same_answers.py compare BEFORE.jsonl AFTER.jsonl [--save same-answers]
+    python benchmarks/experiments/same_answers.py compare BEFORE.jsonl AFTER.jsonl [--but among ...]
+        [--save same-answers]
 
 Rooms of each overlap, other places, walks, tables, corridors, planes, moved sources, corrupted sensors, recordings,
 the published method; some are mapped by each prior, looked for in a folder of maps, corrected by slam and localised.
 Numbers are kept as hexadecimal floats, and arrays by a digest of their bytes: equal means equal to the bit. A second
 run goes on where the first ended. ``--like TEXT`` takes the pairs whose name holds it. Where all answers are alike,
-``--save`` writes both commits down: tables of the first are then of the code of the second, too.
+``--save`` writes both commits down: tables of the first are then of the code of the second, too. ``--but`` names
+questions whose answers are meant to differ, and whose tables are therefore made anew.
 """
 
 import hashlib
@@ -235,32 +237,35 @@ FOUND = {
 }  # fmt: skip
 
 
-def compare(before: Path, after: Path, save: Saver | None) -> int:
-    """Print what differs; the number of answers that do."""
+def compare(before: Path, after: Path, but: list[str], save: Saver | None) -> int:
+    """Print what differs; the number of answers that do and are not meant to."""
     old, new = ({(r := json.loads(line))["name"]: r for line in p.read_text().splitlines()} for p in (before, after))
     both = [name for name in old if name in new]
-    n_different = 0
+    n_different, n_meant = 0, 0
     for name in both:
         was, now = old[name]["answer"], new[name]["answer"]
         keys = [key for key in was | now if was.get(key) != now.get(key)]
         if keys:
-            n_different += 1
-            print(f"{name}: differs in {', '.join(keys)}")
+            is_meant = name.partition("/")[2] in but
+            n_meant += is_meant
+            n_different += not is_meant
+            print(f"{name}: differs in {', '.join(keys)}{', as it is meant to' if is_meant else ''}")
             for key in keys[:3]:
                 print(f"    {key}: {str(was.get(key))[:150]} -> {str(now.get(key))[:150]}")
     ratio = np.median([new[name]["took"] / old[name]["took"] for name in both]) if both else np.nan
     print(
-        f"{len(both)} answers compared, {n_different} differ; {len(old) - len(both)} only before, "
-        f"{len(new) - len(both)} only after; median ratio of seconds {ratio:.2f}"
+        f"{len(both)} answers compared, {n_different} differ, {n_meant} as meant; "
+        f"{len(old) - len(both)} only before, {len(new) - len(both)} only after; median ratio of seconds {ratio:.2f}"
     )
     if save is not None and not n_different and len(both) == len(old) == len(new):
         (first,), (last,) = commits_of(old.values()), commits_of(new.values())
-        save(save.old.columns, [*save.old.rows, [first, last, str(len(both))]], commits=[last])
+        said = str(len(both) - n_meant) + f" ({', '.join(but)}: made anew)" * bool(but)
+        save(save.old.columns, [*save.old.rows, [first, last, said]], commits=[last])
     return n_different
 
 
 def main() -> None:
-    asked = arguments(__doc__, (), recordings=None, like="", jobs=1, save=saver)
+    asked = arguments(__doc__, (), recordings=None, like="", but=[], jobs=1, save=saver)
     verb, *places = asked.words
     paths = [Path(place) for place in places]
     if verb == "make":
@@ -269,7 +274,7 @@ def main() -> None:
         folder, answers = paths
         kept(answers, [job for job in jobs_of(folder) if asked.like in job], partial(answer, folder), jobs=asked.jobs)
     elif verb == "compare":
-        sys.exit(bool(compare(*paths, asked.save)))
+        sys.exit(bool(compare(*paths, asked.but, asked.save)))
 
 
 if __name__ == "__main__":

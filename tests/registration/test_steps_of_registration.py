@@ -22,7 +22,7 @@ from magmatch.registration.index.map_index import prepare_index
 from magmatch.registration.register import register
 from magmatch.registration.result import Links, Status
 from magmatch.registration.search.candidate import SearchResult
-from magmatch.registration.steps import Weighed, register_once, settle_and_decide
+from magmatch.registration.steps import Weighed, decide_among, register_once, settle_and_decide
 from magmatch.registration.weigh.bend import Bend
 from magmatch.simulation.config import SimulationConfig
 from magmatch.simulation.simulate import simulate
@@ -234,3 +234,22 @@ def test_a_path_that_jumps_is_not_taken_for_a_rigid_one_beside_moved_iron():
     middle = target.centroid
     assert result.is_accepted
     assert np.linalg.norm(result.T_base_target.apply(middle) - pair.T_base_target.apply(middle)) < 0.1
+
+
+class Three:
+    """Three bases, by name."""
+
+    def name_of(self, one):
+        return one
+
+
+def test_answers_in_all_other_bases_count_against_the_best():
+    evidence = {"a": [30.0], "b": [29.0, 29.0], "c": [28.0]}
+    found = {
+        name: Weighed(HandMadeStrategy(), PAIR, FOUND, [shifted(9.0 * k, log_evidence=e) for k, e in enumerate(some)])
+        for name, some in evidence.items()
+    }
+    best, result = decide_among(Three(), found, DecisionConfig(), Clock())
+    odds = [answer.log_odds for one in found.values() for answer in one.answers(DecisionConfig())]
+    assert best == "a"
+    assert result.probability == pytest.approx(np.exp(odds[0] - np.logaddexp.reduce([*odds, 0.0])))

@@ -164,7 +164,7 @@ class Posterior(Generic[H]):
 
     answers: tuple[Answer[H], ...]  # most probable first
     probabilities: tuple[float, ...]  # one per answer
-    elsewhere: float  # of the best pose in another base
+    elsewhere: float  # of all answers in other bases
     null: float  # that base and target are unrelated
 
     @property
@@ -192,7 +192,7 @@ class Posterior(Generic[H]):
 def posterior_of(answers: Sequence[Answer[H]], prior_odds: float = 1.0, elsewhere: float = -np.inf) -> Posterior[H]:
     """Weigh answers of one target in one base against each other and against unrelated surveys.
 
-    ``prior_odds``: that both surveys cover a common place; ``elsewhere``: log odds of the best pose in another base,
+    ``prior_odds``: that both surveys cover a common place; ``elsewhere``: log odds of all answers in other bases,
     nats.
     """
     ranked = sorted(answers, key=lambda answer: -answer.log_odds)

@@ -45,7 +45,7 @@ class Weighed:
     pair: Pair[Any, Any]
     found: SearchResult
     ranked: list[Any]  # hypotheses, pose and model, in any order
-    elsewhere: float = -np.inf  # nats: log odds of the best pose in any other base; -inf if there is none
+    elsewhere: float = -np.inf  # nats: log odds of all answers in other bases together; -inf if there are none
 
     def answers(self, config: DecisionConfig) -> list[Answer[Any]]:
         """Hypotheses that are one answer at the accuracy asked for."""
@@ -59,6 +59,10 @@ class Weighed:
     def best_log_odds(self, config: DecisionConfig) -> float:
         """Log odds of the most probable answer over unrelated surveys, nats; -inf if there is none."""
         return max((answer.log_odds for answer in self.answers(config)), default=-np.inf)
+
+    def log_odds(self, config: DecisionConfig) -> float:
+        """Log odds of all answers together, nats."""
+        return float(np.logaddexp.reduce([answer.log_odds for answer in self.answers(config)], initial=-np.inf))
 
 
 def register_once(
@@ -153,11 +157,12 @@ def decide_among(
 ) -> tuple[Any, RegistrationResult]:
     """Decide on the best pose of all maps; a refusal shows the best pose in each other map, too."""
     odds = {one: found.best_log_odds(config) for one, found in weighed.items()}
+    total = {one: found.log_odds(config) for one, found in weighed.items()}
     best, *others = sorted(weighed, key=lambda one: -odds[one])
 
     def answer_in(one: Any) -> RegistrationResult:
-        elsewhere = max((odds[other] for other in odds if other is not one), default=-np.inf)
-        return settle_and_decide(replace(weighed[one], elsewhere=elsewhere), config, clock)
+        elsewhere = np.logaddexp.reduce([total[other] for other in total if other is not one], initial=-np.inf)
+        return settle_and_decide(replace(weighed[one], elsewhere=float(elsewhere)), config, clock)
 
     answer = answer_in(best)
     if answer.is_accepted:
