@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import expit
 
 from magmatch.slam.graph import solve as solving
+from magmatch.slam.graph.factors import Closure
 from magmatch.slam.graph.solve import solve, surprise_before, surprises
-from slam.graph.test_pose_graph import LEVEL, between, graph_of, ring
+from slam.graph.test_pose_graph import LEVEL, TIGHT, between, graph_of, ring
 
 TRUE = ring(24, laps=2)
 
@@ -75,3 +77,21 @@ def test_a_closure_between_logs_that_nothing_else_connects_surprises_nobody():
     for _ in range(2):
         solve(graph)
     assert max(surprises(graph)[0]) < 0.1
+
+
+@pytest.mark.parametrize("is_inverse", [False, True], ids=["base first", "base second"])
+@pytest.mark.parametrize("degrees", [30, 120, 180])
+def test_logs_that_closures_connect_are_brought_together_however_their_frames_are_turned(degrees, is_inverse):
+    turn = Rotation.from_euler("z", degrees, degrees=True)
+    walked = np.vstack([TRUE[:12], turn.inv().apply(TRUE[12:] - [3.0, 1.0, 0.0])])
+    graph = graph_of(walked, LEVEL, logs=np.repeat([0, 1], 12), looseness=0.3)
+    # About half a turn, errors of headings have it one way round or the other.
+    for k, error in enumerate([0.04, -0.04, 0.03, -0.03, 0.02, -0.02]):
+        heading = turn * Rotation.from_rotvec([0.0, 0.0, error])
+        T = RigidTransform.from_components(TRUE[12 + 2 * k] - TRUE[2 * k], heading)
+        ends = (12 + 2 * k, 2 * k, T.inv()) if is_inverse else (2 * k, 12 + 2 * k, T)
+        graph.closures = [*graph.closures, Closure(*ends, TIGHT, 10.0)]
+    solve(graph)
+    assert all(c.is_kept for c in graph.closures)
+    np.testing.assert_allclose(graph.p, TRUE, atol=0.3)
+    np.testing.assert_allclose(graph.R[12:], np.broadcast_to(turn.as_matrix(), (12, 3, 3)), atol=0.1)

@@ -21,7 +21,7 @@ from magmatch.slam.graph.block_cholesky import BlockCholesky
 from magmatch.slam.graph.factors import N_LASTING, Closure, ClosureArrays
 from magmatch.slam.graph.normal_equations import counted, normal_equations, odometry_steps, residual_between
 from magmatch.slam.graph.pose_graph import PoseGraph
-from magmatch.typing import Scalars
+from magmatch.typing import Mask, Matrix, Scalars, Vector3
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +45,7 @@ ITS_OWN = 0.99
 
 def solve(graph: PoseGraph) -> None:
     """Find the most likely poses; closures that the rest contradicts lose their weight."""
+    _bring_together(graph)
     _bring_to_fixed(graph)
     at_first = True
     for _ in range(MOST_STEPS):
@@ -95,6 +96,32 @@ def warn_of_a_wrong_point(graph: PoseGraph, sources: Sequence[str]) -> None:
     log.warning(said, sources[k], far)
 
 
+def _bring_together(graph: PoseGraph) -> None:
+    """Move logs that were just connected as a whole to where their most certain closure has them.
+
+    Least squares must start near the solution: logs half a turn away would be drawn there one way round by one
+    closure and the other way by the next, and stay twisted.
+    """
+    closures, group = graph.as_arrays, np.arange(len(graph.lasting))
+    one, other = graph.log[closures.first], graph.log[closures.second]
+    joins = np.flatnonzero(closures.is_kept & (one != other))
+    for c in joins[np.argsort(-closures.odds[joins], kind="stable")].tolist():
+        stays, moves = sorted((int(group[one[c]]), int(group[other[c]])))
+        T = graph.closures[c].T_first_second
+        here, there = (closures.first[c], closures.second[c])[:: 1 if group[one[c]] == stays else -1]
+        wanted = graph.pose(here) * (T if here == closures.first[c] else T.inv())
+        turn = wanted.rotation * graph.pose(there).rotation.inv()
+        if stays != moves and turn.magnitude() > LINEAR_TURN:
+            _move(graph, group[graph.log] == moves, turn.as_matrix(), graph.p[there].copy(), wanted.translation)
+        group[group == moves] = stays
+
+
+def _move(graph: PoseGraph, mine: Mask, R: Matrix, a: Vector3, b: Vector3) -> None:
+    """Turn some nodes as a whole, and take the point a of theirs to b."""
+    graph.R[mine], graph.p[mine] = R @ graph.R[mine], (graph.p[mine] - a) @ R.T + b
+    graph.level[mine] = graph.start[mine, 2] + np.mean(graph.p[mine, 2] - graph.start[mine, 2])
+
+
 def _bring_to_fixed(graph: PoseGraph) -> None:
     """Move each connected group as a whole to its fixed points: least squares must start near the solution."""
     if graph.fixed is None:
@@ -112,9 +139,7 @@ def _bring_to_fixed(graph: PoseGraph) -> None:
                 # What holds the vertical: a pair of vectors along it that outweighs the rest.
                 x, y, w = np.vstack([x, UP]), np.vstack([y, UP]), np.append(w, np.inf)
             R = Rotation.align_vectors(y, x, weights=w)[0].as_matrix()
-        mine = root[graph.log] == r
-        graph.R[mine], graph.p[mine] = R @ graph.R[mine], (graph.p[mine] - a) @ R.T + b
-        graph.level[mine] = graph.start[mine, 2] + np.mean(graph.p[mine, 2] - graph.start[mine, 2])
+        _move(graph, root[graph.log] == r, R, a, b)
 
 
 def _bring_home(graph: PoseGraph) -> None:
