@@ -107,11 +107,13 @@ def _bring_together(graph: PoseGraph) -> None:
     joins = np.flatnonzero(closures.is_kept & (one != other))
     for c in joins[np.argsort(-closures.odds[joins], kind="stable")].tolist():
         stays, moves = sorted((int(group[one[c]]), int(group[other[c]])))
+        if stays == moves:
+            continue
         T = graph.closures[c].T_first_second
         here, there = (closures.first[c], closures.second[c])[:: 1 if group[one[c]] == stays else -1]
         wanted = graph.pose(here) * (T if here == closures.first[c] else T.inv())
         turn = wanted.rotation * graph.pose(there).rotation.inv()
-        if stays != moves and turn.magnitude() > LINEAR_TURN:
+        if turn.magnitude() > LINEAR_TURN:
             _move(graph, group[graph.log] == moves, turn.as_matrix(), graph.p[there].copy(), wanted.translation)
         group[group == moves] = stays
 
