@@ -29,7 +29,7 @@ def pair():
 
 
 def pose_at(base, target, T=HERE, mode="none"):
-    pose = _at(T, target.samples.mean(axis=0), mode, -1 if mode == "none" else 1)
+    pose = _at(T, target.samples.mean(axis=0), mode, -1 if mode == "none" else 1, None)
     rows = np.arange(len(target.samples)), np.arange(len(base.samples))
     return replace(pose, blocks=compare(base, target, pose, rows))
 
