@@ -85,6 +85,16 @@ def test_it_is_looked_for_where_nothing_was_found_and_taken_where_it_is(first, o
         assert found[2] is first
 
 
+def test_what_was_calibrated_before_is_still_stated():
+    rng = np.random.default_rng(0)
+    base = mm.Survey(rng.random((20, 3)), rng.normal(-40e-6, 1e-6, (20, 3)))
+    target = replace(base, field=base.field + OFFSET)
+    calibrated = {"target": {"time_offset": 0.0, "matrix": np.eye(3).tolist(), "shift": [4e-6, 0.0, 0.0]}}
+    first = replace(REFUSED, sensor={"bias": [9e-6, 0.0, 0.0], "scale": 1.5, "calibrated": calibrated})
+    *_, answer = with_vertical_offset((base, target, first), lambda base, target, _: (base, target, FOUND))
+    assert answer.sensor == {"bias": pytest.approx(OFFSET + FOUND.sensor["bias"]), "calibrated": calibrated}
+
+
 @pytest.mark.parametrize(
     "settings",
     [

@@ -39,7 +39,9 @@ def with_vertical_offset(found: Outcome, look: Look) -> Outcome:
     again = look(base, shifted, shifted)
     if again is None or not again[2].is_accepted:
         return found
-    sensor = again[2].sensor or Sensor()
+    before, sensor = answer.sensor or Sensor(), again[2].sensor or Sensor()
+    if "calibrated" in before:  # base and target already are, so this look found nothing of it
+        sensor = sensor | Sensor(calibrated=before["calibrated"])
     bias = offset + np.asarray(sensor.get("bias", np.zeros(3)))
     return base, target, replace(again[2], sensor=sensor | Sensor(bias=bias.tolist()))
 
