@@ -17,9 +17,14 @@ from pydantic import BaseModel
 from scipy.spatial.transform import Rotation
 
 import magmatch as mm
+from magmatch.cli.command import G2oRotation
 from magmatch.cli.main import build_app
+from magmatch.cli.settings import Preset, Sensor
 from magmatch.errors import ConfigurationError
+from magmatch.registration.config import PRESETS
 from magmatch.registration.decide.decision import MAX_SD_IN_LENGTHS
+from magmatch.registration.g2o import RotationTangent
+from magmatch.registration.refine.sensors import SensorMode
 from magmatch.settings import Settings
 
 N = 40
@@ -185,3 +190,10 @@ def test_a_verb_gives_one_type(verb):
     given = inspect.signature(getattr(mm, verb)).return_annotation
     assert given is not inspect.Signature.empty
     assert "|" not in str(given).replace("| None", ""), given
+
+
+def test_the_values_of_options_are_those_of_the_settings():
+    """The command line names some itself: the modules of the settings take a second to import."""
+    assert typing.get_args(Preset) == tuple(PRESETS)
+    assert typing.get_args(Sensor) == typing.get_args(SensorMode)
+    assert typing.get_args(G2oRotation) == typing.get_args(RotationTangent)

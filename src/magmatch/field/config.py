@@ -7,13 +7,15 @@ from pydantic import Field, model_validator
 
 from magmatch.settings import Settings
 
+PriorName = Literal["auto", "spline", "divergence_free", "curl_free", "harmonic"]
+
 
 class FieldConfig(Settings):
     """Settings of the field inference; what is None is chosen from the data."""
 
     # Which law and basis: 'auto', the one that predicts held-out data best, of 'spline' (soft div B = 0, sparse),
     # 'divergence_free' (published), 'curl_free' (potential) and 'harmonic' (no source in the region).
-    prior: Literal["auto", "spline", "divergence_free", "curl_free", "harmonic"] = "auto"
+    prior: PriorName = "auto"
     # Distance over which the field changes, m. None: chosen from the data.
     lengthscale: float | None = Field(default=None, gt=0)
     # Prior standard deviation of one field component, T. None: chosen from the data.

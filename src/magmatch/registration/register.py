@@ -2,7 +2,7 @@
 """`register`: surveys or maps in, one transform or a refusal with a reason out; `judge`: the same, of poses given."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -173,14 +173,7 @@ def register_keeping_maps(
             def look(base: Base, target: Target, samples: Survey) -> Outcome | None:
                 return attempted(register_once, base, target, samples, config, seed, clock, given)
 
-            with clock("calibrate"):
-                calibrated = calibrate_sensors(base, outcome, samples)
-            if calibrated:
-                inputs, sides = calibrated
-                outcome = better_supported(outcome, look(*inputs), sides)
-            may_differ = config.prior.is_upright and config.refinement.sensor.mode != "none"
-            if may_differ and not isinstance(base, Atlas):
-                outcome = with_vertical_offset(outcome, look)
+            outcome = _with_sensors_corrected(outcome, base, samples, config, look, clock)
     base_used, used, answer = outcome
     has_pose = answer.best_pose is not None
     if only is not None:
@@ -191,6 +184,24 @@ def register_keeping_maps(
     answer = with_advice(answer, surveys, config.prior)
     is_found = has_pose or not (only or isinstance(base, Atlas))
     return base_used if is_found else None, used, _stamped(answer, known, config, seed, clock)
+
+
+def _with_sensors_corrected(
+    outcome: Outcome,
+    base: Base,
+    samples: Survey,
+    config: RegistrationConfig,
+    look: Callable[[Base, Target, Survey], Outcome | None],
+    clock: Clock,
+) -> Outcome:
+    """The outcome of another look with corrected sensors, where that is likelier, or else the one given."""
+    with clock("calibrate"):
+        calibrated = calibrate_sensors(base, outcome, samples)
+    if calibrated:
+        inputs, sides = calibrated
+        outcome = better_supported(outcome, look(*inputs), sides)
+    may_differ = config.prior.is_upright and config.refinement.sensor.mode != "none"
+    return with_vertical_offset(outcome, look) if may_differ and not isinstance(base, Atlas) else outcome
 
 
 def _stamped(

@@ -28,6 +28,7 @@ from magmatch.registration.result import RegistrationResult, Status
 from magmatch.registration.search.candidate import NONE_GIVEN, Given, SearchResult
 from magmatch.registration.walk_strategy import WalkStrategy
 from magmatch.registration.weigh.bend import DRIFTS, REMEDY, Bend
+from magmatch.typing import Scalars
 
 Target = Survey | FieldMap
 Base = Target | MapIndex | Atlas
@@ -56,13 +57,9 @@ class Weighed:
         """The largest evidence of a pose, divided by its residuals' dispersion, nats; -inf if there is none."""
         return max((effective_evidence(one.log_evidence, one.misfit) for one in self.ranked), default=-np.inf)
 
-    def best_log_odds(self, config: DecisionConfig) -> float:
-        """Log odds of the most probable answer over unrelated surveys, nats; -inf if there is none."""
-        return max((answer.log_odds for answer in self.answers(config)), default=-np.inf)
-
-    def log_odds(self, config: DecisionConfig) -> float:
-        """Log odds of all answers together, nats."""
-        return float(np.logaddexp.reduce([answer.log_odds for answer in self.answers(config)], initial=-np.inf))
+    def log_odds(self, config: DecisionConfig) -> Scalars:
+        """Log odds of each answer over unrelated surveys, nats, after one of -inf."""
+        return np.array([-np.inf, *(answer.log_odds for answer in self.answers(config))])
 
 
 def register_once(
@@ -101,7 +98,7 @@ def register_once(
             if ahead is not None:
                 ahead = max(ahead, look.most_effective)
             looks = (look, weighed.get(one, look))
-            weighed[one] = max(looks, key=lambda each: each.best_log_odds(config.decision))
+            weighed[one] = max(looks, key=lambda each: each.log_odds(config.decision).max())
         best, answer = decide_among(bases, weighed, config.decision, clock)
         if answer.is_accepted:
             break
@@ -156,9 +153,9 @@ def decide_among(
     bases: Bases, weighed: dict[Any, Weighed], config: DecisionConfig, clock: Clock
 ) -> tuple[Any, RegistrationResult]:
     """Decide on the best pose of all maps; a refusal shows the best pose in each other map, too."""
-    odds = {one: found.best_log_odds(config) for one, found in weighed.items()}
-    total = {one: found.log_odds(config) for one, found in weighed.items()}
-    best, *others = sorted(weighed, key=lambda one: -odds[one])
+    odds = {one: found.log_odds(config) for one, found in weighed.items()}
+    total = {one: np.logaddexp.reduce(z) for one, z in odds.items()}
+    best, *others = sorted(weighed, key=lambda one: -odds[one].max())
 
     def answer_in(one: Any) -> RegistrationResult:
         elsewhere = np.logaddexp.reduce([total[other] for other in total if other is not one], initial=-np.inf)

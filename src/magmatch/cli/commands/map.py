@@ -4,7 +4,7 @@
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Option
 
@@ -15,6 +15,7 @@ from magmatch.cli.option_values import numbers, processes, refuse
 from magmatch.cli.outputs import check_outputs
 from magmatch.cli.settings import merged
 from magmatch.data.units import field_text
+from magmatch.field.config import FieldConfig, PriorName
 
 if TYPE_CHECKING:
     from magmatch.data.survey import Survey
@@ -48,7 +49,7 @@ def build(
     ),
     out: Path = Option(..., help="Write the map here."),
     report: Path | None = Option(None, help="Write an HTML report on the map here."),
-    prior: Literal["auto", "spline", "divergence_free", "curl_free", "harmonic"] | None = Option(
+    prior: PriorName | None = Option(
         None, help="Prior of the field; auto (default) chooses the one that predicts held-out data best."
     ),
     domain: str | None = Option(
@@ -61,7 +62,6 @@ def build(
     """Build and save a field map, or add surveys to one."""
     from magmatch.data.formats.sniff import sniff
     from magmatch.field.build import build_map
-    from magmatch.field.config import FieldConfig
 
     require_own_poses(surveys, layouts, "SURVEY")
     is_addition = (

@@ -28,7 +28,6 @@ from magmatch.geometry import perturbation, perturbation_between, rotate_vectors
 from magmatch.registration.prepared.drift import field_variance
 from magmatch.registration.prepared.prepared_map import MEDIAN_CHI2_3, PreparedMap, common_length
 from magmatch.registration.refine.sensors import (
-    BIAS_LEVELS,
     SensorConfig,
     SensorMode,
     SensorModel,
@@ -144,10 +143,7 @@ def _at(
 ) -> RefinedPose:
     """Give a pose before any refinement, with the sensors alike."""
     sensor = identical_sensors(mode, level)
-    sd = prior_sd(level, sensor.n_parameters)
-    if up is not None and mode != "none":
-        # No survey of a level carrier shows its sensor's bias along the vertical.
-        sd[:3] = np.hypot(sd[:3], BIAS_LEVELS[-1] * up)
+    sd = prior_sd(level, sensor.n_parameters, up)
     log_prior = SENSORS_DIFFER * levels_to_try(mode).index(level)
     return RefinedPose(T_base_target, center, sensor, sd, np.zeros((6, 6)), (), log_prior)
 

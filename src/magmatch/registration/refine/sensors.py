@@ -14,7 +14,7 @@ import numpy as np
 
 from magmatch.field.spline.spline_prior import CONSTANT_SD
 from magmatch.settings import Settings
-from magmatch.typing import Matrix, Vectors
+from magmatch.typing import Matrix, Vector3, Vectors
 
 SensorMode = Literal["auto", "none", "bias", "scale", "full"]
 
@@ -100,10 +100,14 @@ def identical_sensors(mode: SensorMode, level: int) -> SensorModel:
     return SensorModel(np.zeros(3), np.eye(3), shapes)
 
 
-def prior_sd(level: int, n_parameters: int) -> np.ndarray:
-    """Prior standard deviations of the parameters at a level; a negative level ties them to zero."""
+def prior_sd(level: int, n_parameters: int, up: Vector3 | None = None) -> np.ndarray:
+    """Prior standard deviations of the parameters at a level; a negative level ties them to zero.
+
+    Where the vertical is known, no survey of a level carrier shows its sensor's bias along it.
+    """
     if level < 0:
         return np.full(n_parameters, TIED_SD)
     bias = BIAS_LEVELS[min(level, len(BIAS_LEVELS) - 1)]
+    biases = np.full(3, bias) if up is None else np.hypot(bias, BIAS_LEVELS[-1] * up)
     # In the strongest field, an error of scale is as large as the bias that goes with it.
-    return np.concatenate([np.full(3, bias), np.full(n_parameters - 3, bias / CONSTANT_SD)])
+    return np.concatenate([biases, np.full(n_parameters - 3, bias / CONSTANT_SD)])

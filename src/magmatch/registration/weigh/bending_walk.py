@@ -281,7 +281,6 @@ def worth_bending(
     0, as unrelated surveys have.
     """
     least, needed = max(0.0, ahead - CLEAR), needed_evidence(1 - RARE, LineEvidence.kind)
-
     some = [pose for pose in likely if pose.attainable > least]
     asked = list[LineEvidence]()
     if not some and not noise.is_learned:

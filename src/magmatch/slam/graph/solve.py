@@ -109,12 +109,12 @@ def _bring_together(graph: PoseGraph) -> None:
         stays, moves = sorted((int(group[one[c]]), int(group[other[c]])))
         if stays == moves:
             continue
-        T = graph.closures[c].T_first_second
-        here, there = (closures.first[c], closures.second[c])[:: 1 if group[one[c]] == stays else -1]
-        wanted = graph.pose(here) * (T if here == closures.first[c] else T.inv())
-        turn = wanted.rotation * graph.pose(there).rotation.inv()
-        if turn.magnitude() > LINEAR_TURN:
-            _move(graph, group[graph.log] == moves, turn.as_matrix(), graph.p[there].copy(), wanted.translation)
+        first, second = graph.pose(closures.first[c]), graph.pose(closures.second[c])
+        # Takes the second node to where the closure has it; the first comes to the second the other way.
+        T = first * graph.closures[c].T_first_second * second.inv()
+        T = T if group[other[c]] == moves else T.inv()
+        if T.rotation.magnitude() > LINEAR_TURN:
+            _move(graph, group[graph.log] == moves, T.rotation.as_matrix(), np.zeros(3), T.translation)
         group[group == moves] = stays
 
 
