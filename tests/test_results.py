@@ -163,6 +163,17 @@ def test_same_answers_say_nothing_of_code_that_did_not_answer(root):
     assert results(root, "--release")[0] == 1
 
 
+@pytest.mark.parametrize(("answers", "rc"), [("9 (other: meant to differ)", 0), ("8 (src: meant to differ)", 1)])
+def test_answers_that_were_meant_to_differ_say_nothing_of_the_room_of_their_name(root, answers, rc):
+    first = git(root, "rev-parse", "HEAD")
+    (root / "src" / "code.py").write_text("x = 2 - 1\n")
+    last = commit(root)
+    alike = replace(table([last], covers=["src"]), columns=["before", "after", "answers"])
+    save(root, replace(alike, rows=[[first, last, answers]]), "same-answers")
+    results(root)
+    assert results(root, "--release")[0] == rc
+
+
 def test_of_several_commits_the_oldest_decides_and_what_a_table_covers_must_be_there(root):
     first = git(root, "rev-parse", "HEAD")
     (root / "src" / "code.py").write_text("x = 2\n")

@@ -11,7 +11,8 @@ the published method; some are mapped by each prior, looked for in a folder of m
 Numbers are kept as hexadecimal floats, and arrays by a digest of their bytes: equal means equal to the bit. A second
 run goes on where the first ended. ``--like TEXT`` takes the pairs whose name holds it. Where all answers are alike,
 ``--save`` writes both commits down: tables of the first are then of the code of the second, too. ``--but`` names
-questions whose answers are meant to differ, and whose tables are therefore made anew.
+questions whose answers are meant to differ: the code of a room of that name has changed, and tables of the others are
+made anew.
 """
 
 import hashlib
@@ -259,7 +260,7 @@ def compare(before: Path, after: Path, but: list[str], save: Saver | None) -> in
     )
     if save is not None and not n_different and len(both) == len(old) == len(new):
         (first,), (last,) = commits_of(old.values()), commits_of(new.values())
-        said = str(len(both) - n_meant) + f" ({', '.join(but)}: made anew)" * bool(but)
+        said = str(len(both) - n_meant) + f" ({', '.join(but)}: meant to differ)" * bool(but)
         save(save.old.columns, [*save.old.rows, [first, last, said]], commits=[last])
     return n_different
 
