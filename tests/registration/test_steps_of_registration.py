@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from hand_made import WeighedPose
 from magmatch.data.survey import Survey
@@ -171,6 +171,13 @@ def test_near_poses_are_one_answer_within_three_of_the_largest_spreads_asked_for
     near = [shifted(0.0), shifted(0.5, log_evidence=199.0)]
     assert decided(near).is_accepted  # 3 x 0.3 x 0.6 m
     assert decided(near, config=DecisionConfig(max_sd_translation=0.1)).status is Status.AMBIGUOUS
+
+
+def test_that_a_coarser_pose_would_do_makes_no_two_places_one():
+    coarse = DecisionConfig(max_sd_translation=5.0, max_sd_rotation=1.0)
+    turned = WeighedPose(RigidTransform.from_rotation(Rotation.from_rotvec([0, 0, 0.3])), log_evidence=199.0)
+    for other in (shifted(1.0, log_evidence=199.0), turned):
+        assert decided([shifted(0.0), other], config=coarse).status is Status.AMBIGUOUS
 
 
 def test_a_pose_elsewhere_takes_its_share_and_prior_odds_theirs():

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from magmatch.estimation.posterior import RIGHT_WITHIN
 from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD, Drift, OdometryConfig
-from magmatch.registration.decide.decision import MAX_SD_IN_LENGTHS, DecisionConfig
+from magmatch.registration.decide.decision import DecisionConfig
 from magmatch.settings import Settings
 
 # Drift of a robot's odometry, m and degrees after 10 m.
@@ -73,7 +73,7 @@ class LocalizerConfig(Settings):
         )
     )
     # Two hypotheses that differ by less are one answer, as in a registration, whose heading moves more points than a
-    # body's. That a coarser pose would do does not make two places one.
+    # body's.
     same_rotation: float = Field(default=RIGHT_WITHIN * 0.16, gt=0)
 
     def settled(self, *, is_dead_reckoned: bool = False) -> "LocalizerConfig":
@@ -85,5 +85,5 @@ class LocalizerConfig(Settings):
 
     def same(self, length: float) -> tuple[float, float]:
         """Within what two hypotheses are one answer (m, rad), given the field length (m): less than may be stated."""
-        shift, turn = self.decision.tolerance(length)
-        return min(shift, RIGHT_WITHIN * MAX_SD_IN_LENGTHS * length), min(turn, self.same_rotation)
+        shift, _ = self.decision.tolerance(length)
+        return shift, min(RIGHT_WITHIN * self.decision.max_sd_rotation, self.same_rotation)

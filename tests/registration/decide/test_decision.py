@@ -81,7 +81,7 @@ def test_a_field_in_which_another_pose_could_match_is_not_blamed():
     ("just", "beyond"),
     [
         (estimate_of(shift=0.1799), estimate_of(shift=0.1801)),  # 0.3 lengths of 0.6 m
-        (estimate_of(turn=0.0799), estimate_of(turn=0.0801)),
+        (estimate_of(turn=0.1744), estimate_of(turn=0.1746)),  # 10 degrees
     ],
 )
 def test_a_probable_pose_that_is_not_known_well_enough_is_degenerate(just, beyond):

@@ -65,7 +65,7 @@ def register(
     max_sd: str | None = Option(
         None,
         help="Largest standard deviation of an accepted pose: metres,degrees.  "
-        "[default: 0.3 correlation lengths of the field, 4.6 degrees]",
+        "[default: 0.3 correlation lengths of the field, 10 degrees]",
     ),
     config: Path | None = Option(None, help="YAML file of settings, or an earlier result: overrides the preset's."),
     seed: int = SEED,

@@ -2,6 +2,7 @@
 """One principle: a pose is accepted if it is probable enough and known accurately enough; otherwise, why not."""
 
 from dataclasses import dataclass
+from math import radians
 
 import numpy as np
 from pydantic import Field
@@ -14,6 +15,9 @@ from magmatch.settings import Settings
 
 # Largest standard deviation of the target's position where none is asked for, in correlation lengths of the field.
 MAX_SD_IN_LENGTHS = 0.3
+# Poses that differ by more than `RIGHT_WITHIN` times this rotation (rad), or that position, are two answers: that a
+# coarser pose would do does not make two places one.
+SAME_SD_ROTATION = 0.08
 
 
 class DecisionConfig(Settings):
@@ -24,7 +28,7 @@ class DecisionConfig(Settings):
     # Largest standard deviation in the worst direction: of the target's position, m (None: 0.3 of the field's
     # correlation length), and of its rotation, rad.
     max_sd_translation: float | None = Field(default=None, gt=0)
-    max_sd_rotation: float = Field(default=0.08, gt=0)
+    max_sd_rotation: float = Field(default=round(radians(10), 4), gt=0)
     # Prior odds that both surveys cover a common place, before their fields are compared.
     prior_odds: float = Field(default=1.0, gt=0)
 
@@ -33,9 +37,9 @@ class DecisionConfig(Settings):
         return self.max_sd_translation or MAX_SD_IN_LENGTHS * length, self.max_sd_rotation
 
     def tolerance(self, length: float) -> tuple[float, float]:
-        """Largest error of an answer that counts as right (m, rad)."""
+        """Within what two poses are one answer (m, rad): errors that count as right, and less than may be stated."""
         shift, turn = self.max_sd(length)
-        return RIGHT_WITHIN * shift, RIGHT_WITHIN * turn
+        return RIGHT_WITHIN * min(shift, MAX_SD_IN_LENGTHS * length), RIGHT_WITHIN * min(turn, SAME_SD_ROTATION)
 
 
 @dataclass(frozen=True, slots=True)
