@@ -12,6 +12,7 @@ from magmatch.data.checks import extent
 from magmatch.data.sensor_axes import is_constant
 from magmatch.data.survey import Survey
 from magmatch.estimation.path_noise import PathNoise
+from magmatch.estimation.pose_prior import UP
 from magmatch.field.sensor_biases import without_bias
 from magmatch.preparation.odometry.drift import FACTORS, lie_level
 from magmatch.progress import tell
@@ -49,9 +50,10 @@ class Places:
     anchors: list[tuple[Anchor, int]] = field(default_factory=list)
     is_rigid: bool = False  # whether each log is one node: merged, not corrected
 
-    def copied(self) -> "Places":
-        """Copy it, to continue without changing this one."""
-        return replace(self, paths=list(self.paths), graph=self.graph.copied(), biases=list(self.biases))
+    def copied(self, anchors: Sequence[tuple[Anchor, int]] = ()) -> "Places":
+        """Copy it, to continue with more fixed points without changing this one."""
+        paths, biases, anchors = list(self.paths), list(self.biases), [*self.anchors, *anchors]
+        return replace(self, paths=paths, graph=self.graph.copied(), biases=biases, anchors=anchors)
 
     def add(self, survey: Survey) -> Path:
         """Cut one more log into windows, in a frame of its own."""
@@ -84,6 +86,17 @@ class Places:
         self.paths = [replace(p, windows=tuple(replace(w, config=config) for w in p.windows)) for p in self.paths]
         self.graph.edges = odometry_graph(self.paths, config).edges
         self.solve()
+
+    def without_vertical(self, logs: Sequence[int], offset: float) -> "Places":
+        """The same places, but what some logs measured without so much (T) along the vertical, a bias of theirs."""
+        less, along = self.copied(), offset * UP
+        for k in logs:
+            path, (bias, sd) = self.paths[k], self.biases[k]
+            survey = replace(path.survey, field=path.survey.field - along)
+            (less.paths[k],) = cut([survey], path.windows[0].length, self.graph.config, k, path.first_node)
+            R = survey.orientations
+            less.biases[k] = bias + (along if R is None else R.inv().apply(along).mean(axis=0)), sd
+        return less
 
     def drifting_more(self) -> "Places":
         """The same logs without closures, whose odometry drifts by a standard deviation more of what it may."""

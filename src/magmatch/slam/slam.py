@@ -24,13 +24,13 @@ from magmatch.slam.loop_closer import LoopCloser
 from magmatch.slam.places import Places, begin
 from magmatch.slam.refine import refine
 from magmatch.slam.search.loop_closure import Candidate
+from magmatch.slam.vertical_offsets import with_vertical_offsets
 from magmatch.slam.windows import Path
 from magmatch.threads import single_threaded
 
-# Closures make others possible: maximum number of rounds of search.
-MOST_ROUNDS = 4
-# Closures that noise is learned from before the search proper: a tenth is left to what was guessed.
-ENOUGH = 9 * PRIOR_STRETCHES
+# Most rounds of search, since closures make others possible; closures that noise is learned from before the search
+# proper: a tenth is left to what was guessed.
+MOST_ROUNDS, ENOUGH = 4, 9 * PRIOR_STRETCHES
 
 
 @single_threaded
@@ -54,7 +54,8 @@ def correct(
             more = LoopCloser(places.drifting_more(), run)
             close_all(more, more.places.paths)
             if more.log_odds + FACTOR_ODDS[-1] > closer.log_odds + FACTOR_ODDS[0]:
-                places = more.places
+                closer = more
+        places = with_vertical_offsets(closer, close_all).places
     with clock("refinement"):
         refine(places, places.paths, run)
     return places
@@ -65,13 +66,13 @@ def correct_more(
     earlier: Places, logs: Sequence[Survey], anchors: Sequence[tuple[Anchor, int]], run: Runner, clock: Clock
 ) -> Places:
     """Correct more logs with the known hyperparameters; closures between earlier logs are kept."""
-    places = earlier.copied()
-    places.anchors = [*places.anchors, *anchors]
+    places = earlier.copied(anchors)
     closer = LoopCloser(places, run)
     with clock("closures"):
         places.solve()
         for survey in logs:
             close_all(closer, [places.add(survey)])
+        places = with_vertical_offsets(closer, close_all, len(earlier.paths)).places
     with clock("refinement"):
         refine(places, places.paths[len(earlier.paths) :], run)
     return places
@@ -110,10 +111,9 @@ def close_near(
 
 
 def close_far(closer: LoopCloser, logs: Sequence[Path]) -> int:
-    """Close loops between unconnected logs, without a prior; returns how many."""
+    """Close loops of logs with earlier ones that nothing connects them to, without a prior; returns how many."""
     found = 0
     for path in logs:
-        # Whoever came first is the base; a log that was connected since is corrected as the graph has it.
         if closer.places.others(path):
             what = f"looking for {path.survey.name} in other logs"
             found += closer.connect(path, closer.search.anywhere(path.windows, path, what))
