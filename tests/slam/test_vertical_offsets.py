@@ -2,12 +2,15 @@
 """Level logs whose sensors differ by a constant along the vertical."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import magmatch as mm
 from drifting import Place, drifting_walk, trajectory_error
+from magmatch.slam.loop_closer import LoopCloser
+from magmatch.slam.vertical_offsets import with_vertical_offsets
 
 OFFSET = 15e-6
 ONE, TRUTH = drifting_walk(Place(1), 11, laps=1.2, name="one.csv")
@@ -62,6 +65,34 @@ def test_a_log_of_another_place_stays_as_it_came():
     assert sorted(session.components) == [[0], [1]]
     np.testing.assert_allclose(session.trajectories[1].field[:, 2], stranger.field[:, 2], atol=1e-12)
     assert stated_biases(session)[1][2] == pytest.approx(0, abs=1e-7)
+
+
+class HandMadePlaces:
+    """Three logs, of which the first and the last share a frame."""
+
+    def __init__(self, frames=(0, 1, 0), shifted=()):
+        self.shifted, self.graph = list(shifted), SimpleNamespace(frames=lambda: np.array(frames))
+        self.paths = [SimpleNamespace(survey=replace(ONE, name=f"{k}.csv"), number=k) for k in range(3)]
+        self.stated = mm.SlamConfig()
+        self.frames = frames
+
+    def others(self, path):
+        return [p for p in self.paths[: path.number] if self.frames[p.number] != self.frames[path.number]]
+
+    def without_vertical(self, logs, offset):
+        return HandMadePlaces(self.frames, [*self.shifted, *logs])
+
+
+@pytest.mark.parametrize(
+    ("joined_by", "shifted"), [((), []), ([1], [1]), ([0, 2], [0, 2])], ids=["nothing", "its shift", "the others'"]
+)
+def test_logs_of_one_frame_are_shifted_together_and_only_what_that_connects_stays_so(joined_by, shifted):
+    def look(again, paths):
+        if [path.number for path in paths] == joined_by:
+            again.places = HandMadePlaces((0, 0, 0), again.places.shifted)
+
+    found = with_vertical_offsets(LoopCloser(HandMadePlaces(), None), look)
+    assert found.places.shifted == shifted
 
 
 def test_where_up_is_not_known_nothing_is_made_equal():

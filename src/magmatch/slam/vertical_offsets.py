@@ -38,7 +38,7 @@ def with_vertical_offsets(closer: LoopCloser, look: Look, first: int = 0) -> Loo
         offset = _vertical([places.paths[k] for k in mine]) - _vertical(others)
         again = LoopCloser(places.without_vertical(mine, offset), closer.search.run)
         look(again, [again.places.paths[k] for k in mine])
-        if again.places.graph.frames()[log] != frames[log]:
+        if len(np.unique(again.places.graph.frames())) < len(np.unique(frames)):
             logger.info("%s: its vertical field differs by %s from the others'", path.survey.name, field_text(offset))
             closer = again
     return closer
