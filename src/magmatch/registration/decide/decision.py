@@ -2,7 +2,6 @@
 """One principle: a pose is accepted if it is probable enough and known accurately enough; otherwise, why not."""
 
 from dataclasses import dataclass
-from math import radians
 
 import numpy as np
 from pydantic import Field
@@ -26,9 +25,9 @@ class DecisionConfig(Settings):
     # Least probability that the pose is right.
     min_probability: float = Field(default=1 - RARE, gt=0, lt=1)
     # Largest standard deviation in the worst direction: of the target's position, m (None: 0.3 of the field's
-    # correlation length), and of its rotation, rad.
+    # correlation length), and of its rotation, rad (10 degrees: headings of phones' walks are known to 5 and more).
     max_sd_translation: float | None = Field(default=None, gt=0)
-    max_sd_rotation: float = Field(default=round(radians(10), 4), gt=0)
+    max_sd_rotation: float = Field(default=0.1745, gt=0)
     # Prior odds that both surveys cover a common place, before their fields are compared.
     prior_odds: float = Field(default=1.0, gt=0)
 
