@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from magmatch.estimation.posterior import RIGHT_WITHIN
 from magmatch.preparation.odometry.drift import DEAD_RECKONING_SD, Drift, OdometryConfig
-from magmatch.registration.decide.decision import DecisionConfig
+from magmatch.registration.decide.decision import SAME_SD_ROTATION, DecisionConfig
 from magmatch.settings import Settings
 
 # Drift of a robot's odometry, m and degrees after 10 m.
@@ -72,9 +72,6 @@ class LocalizerConfig(Settings):
             prior_odds=1 / 16, max_sd_translation=2.0, max_sd_rotation=round(radians(30), 4)
         )
     )
-    # Two hypotheses that differ by less are one answer, as in a registration, whose heading moves more points than a
-    # body's.
-    same_rotation: float = Field(default=RIGHT_WITHIN * 0.16, gt=0)
 
     def settled(self, *, is_dead_reckoned: bool = False) -> "LocalizerConfig":
         """The settings for a log: the drift that none stated is that of what gave the poses."""
@@ -86,4 +83,5 @@ class LocalizerConfig(Settings):
     def same(self, length: float) -> tuple[float, float]:
         """Within what two hypotheses are one answer (m, rad), given the field length (m): less than may be stated."""
         shift, _ = self.decision.tolerance(length)
-        return shift, min(RIGHT_WITHIN * self.decision.max_sd_rotation, self.same_rotation)
+        # A registration's heading moves more points than a body's.
+        return shift, RIGHT_WITHIN * min(self.decision.max_sd_rotation, 2 * SAME_SD_ROTATION)
