@@ -6,9 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import norm
 
 import magmatch as mm
 from dipoles import dipoles
+from magmatch.estimation.model_prior import HARD_IRON_SD
+from magmatch.estimation.pose_prior import UP
+from magmatch.registration.refine.sensors import BIAS_LEVELS
 from magmatch.registration.vertical_offset import with_vertical_offset
 from magmatch.simulation.config import SimulationConfig
 
@@ -70,7 +74,7 @@ def test_it_is_looked_for_where_nothing_was_found_and_taken_where_it_is(first, o
     target = replace(base, field=base.field + offset)
     asked = []
 
-    def look(base, target, samples):
+    def look(base, target, samples, log_prior):
         asked.append(target.field)
         return again and (base, target, again)
 
@@ -91,8 +95,19 @@ def test_what_was_calibrated_before_is_still_stated():
     target = replace(base, field=base.field + OFFSET)
     calibrated = {"target": {"time_offset": 0.0, "matrix": np.eye(3).tolist(), "shift": [4e-6, 0.0, 0.0]}}
     first = replace(REFUSED, sensor={"bias": [9e-6, 0.0, 0.0], "scale": 1.5, "calibrated": calibrated})
-    *_, answer = with_vertical_offset((base, target, first), lambda base, target, _: (base, target, FOUND))
+    *_, answer = with_vertical_offset((base, target, first), lambda base, target, *_: (base, target, FOUND))
     assert answer.sensor == {"bias": pytest.approx(OFFSET + FOUND.sensor["bias"]), "calibrated": calibrated}
+
+
+def test_an_offset_is_the_less_likely_the_larger_it_is():
+    """Beside an offset that was chosen lie those that the refinement allows, of all that two sensors may have."""
+    allowed = norm(0, BIAS_LEVELS[-1]).pdf(0)
+    for offset in (3e-6, 30e-6):
+        told = []
+        base = mm.Survey(np.eye(3), np.full((3, 3), -4e-5))
+        target = replace(base, field=base.field + offset * UP)
+        with_vertical_offset((base, target, REFUSED), lambda *given, told=told: told.append(given[-1]))
+        assert told == pytest.approx([np.log(norm(0, np.sqrt(2) * HARD_IRON_SD).pdf(offset) / allowed)])
 
 
 @pytest.mark.parametrize(

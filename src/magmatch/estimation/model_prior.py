@@ -14,6 +14,8 @@ from magmatch.typing import Scalars
 # Sensors that differ by bias and scale, and once more if by soft iron. Correlated errors of two maps of one place
 # look like a bias that gains up to ten nats.
 SENSORS_DIFFER = -15.0
+# Of a magnetometer's hard iron beforehand, T: a phone or a robot that was not calibrated.
+HARD_IRON_SD = 10e-6
 # A walk bends at one of these rates, m per square root of a metre, equally likely: of a tracking system, of wheels,
 # of cameras, and of a phone's dead reckoning, well done or not.
 RATES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)

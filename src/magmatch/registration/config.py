@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Settings of a registration; presets are named instances."""
 
+from math import exp
 from typing import Literal
 
 from pydantic import Field
@@ -32,6 +33,11 @@ class RegistrationConfig(Settings):
     keypoints: PublishedConfig = Field(default_factory=PublishedConfig)
     refinement: RefinementConfig = Field(default_factory=RefinementConfig)
     decision: DecisionConfig = Field(default_factory=DecisionConfig)
+
+    def with_log_prior(self, more: float) -> "RegistrationConfig":
+        """The same, at so much log prior odds more that the surveys share a place."""
+        odds = self.decision.prior_odds * exp(more)
+        return self.model_copy(update={"decision": self.decision.model_copy(update={"prior_odds": odds})})
 
 
 PRESETS: dict[str, RegistrationConfig] = {

@@ -170,8 +170,9 @@ def register_keeping_maps(
         # Vectors in a wrong frame are reported at once: no correction of the sensors helps them.
         if config.calibrate and not any(found.is_of_frames for found in diagnoses):
 
-            def look(base: Base, target: Target, samples: Survey) -> Outcome | None:
-                return attempted(register_once, base, target, samples, config, seed, clock, given)
+            def look(base: Base, target: Target, samples: Survey, log_prior: float = 0.0) -> Outcome | None:
+                asked = config.with_log_prior(log_prior)
+                return attempted(register_once, base, target, samples, asked, seed, clock, given)
 
             outcome = _with_sensors_corrected(outcome, base, samples, config, look, clock)
     base_used, used, answer = outcome
@@ -191,7 +192,7 @@ def _with_sensors_corrected(
     base: Base,
     samples: Survey,
     config: RegistrationConfig,
-    look: Callable[[Base, Target, Survey], Outcome | None],
+    look: Callable[..., Outcome | None],
     clock: Clock,
 ) -> Outcome:
     """The outcome of another look with corrected sensors, where that is likelier, or else the one given."""

@@ -16,7 +16,7 @@ from magmatch.published.register import register as register_published
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.answer import state_answer
-from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, Verdict, decide
+from magmatch.registration.decide.decision import NO_POSE, DecisionConfig, Verdict, decide, is_sharp
 from magmatch.registration.decide.estimate import Estimate, Pair
 from magmatch.registration.decide.support import Support
 from magmatch.registration.index.atlas import Atlas, Bases, OneBase
@@ -100,7 +100,7 @@ def register_once(
             looks = (look, weighed.get(one, look))
             weighed[one] = max(looks, key=lambda each: each.log_odds(config.decision).max())
         best, answer = decide_among(bases, weighed, config.decision, clock)
-        if answer.is_accepted:
+        if answer.is_accepted and is_sharp(answer.covariance):
             break
     assert answer is not None  # there is always a strategy
     return bases.load(best), weighed[best].strategy.target, answer

@@ -13,14 +13,17 @@ import numpy as np
 
 from magmatch.data.survey import Survey
 from magmatch.data.units import field_text
+from magmatch.estimation.model_prior import HARD_IRON_SD
 from magmatch.progress import tell
 from magmatch.registration.maps import survey_of
 from magmatch.registration.refine.sensors import BIAS_LEVELS
 from magmatch.registration.result import Sensor
 from magmatch.registration.steps import Base, Outcome
 
-# Registers base, target and all its samples; None if that fails.
-Look = Callable[[Base, Survey, Survey], Outcome | None]
+# Registers base, target and all its samples, at so much log prior odds more; None if that fails.
+Look = Callable[[Base, Survey, Survey, float], Outcome | None]
+# Variance of the offset beforehand, T^2: of two sensors' hard iron.
+VARIANCE = 2 * HARD_IRON_SD**2
 
 
 def with_vertical_offset(found: Outcome, look: Look) -> Outcome:
@@ -36,7 +39,7 @@ def with_vertical_offset(found: Outcome, look: Look) -> Outcome:
         return found
     tell(f"looking once more, for a vertical offset of {field_text(abs(offset[2]))} between the sensors")
     shifted = replace(samples, field=samples.field - offset)
-    again = look(base, shifted, shifted)
+    again = look(base, shifted, shifted, _log_prior(float(offset[2])))
     if again is None or not again[2].is_accepted:
         return found
     before, sensor = answer.sensor or Sensor(), again[2].sensor or Sensor()
@@ -44,6 +47,11 @@ def with_vertical_offset(found: Outcome, look: Look) -> Outcome:
         sensor = sensor | Sensor(calibrated=before["calibrated"])
     bias = offset + np.asarray(sensor.get("bias", np.zeros(3)))
     return base, target, replace(again[2], sensor=sensor | Sensor(bias=bias.tolist()))
+
+
+def _log_prior(offset: float) -> float:
+    """The log prior of offsets as near this one (T) as the refinement looks for them, against those of any size."""
+    return float(np.log(BIAS_LEVELS[-1] / np.sqrt(VARIANCE)) - offset**2 / (2 * VARIANCE))
 
 
 def _mean(survey: Survey) -> float:

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from magmatch.data.sensor_axes import stuck_axes
 from magmatch.data.survey import Survey
+from magmatch.estimation.model_prior import HARD_IRON_SD
 from magmatch.estimation.walk import bin_along_path, bin_means
 from magmatch.field.hyperparameters import Hyperparameters
 from magmatch.geometry import path_walked
@@ -28,8 +29,6 @@ from magmatch.typing import Vector3
 
 log = logging.getLogger(__name__)
 
-# Of a phone or a robot that was not calibrated, T; weak against a hundred metres of path.
-BIAS_SD = 10e-6
 # Bins a lengthscale.
 BINS = 4
 
@@ -57,7 +56,7 @@ def sensor_bias(survey: Survey, h: Hyperparameters, config: SlamConfig) -> tuple
     turned = _headings_alone(survey.orientations) if config.is_gravity_aligned else survey.orientations
     rows = bin_along_path(np.ascontiguousarray(survey.positions), h.lengthscale / BINS)
     x, b, R = (bin_means(v, rows) for v in (survey.positions, survey.field, turned.as_matrix()))
-    A, v = np.diag(np.repeat([BIAS_SD**-2, 0.0], 3)), np.zeros(6)
+    A, v = np.diag(np.repeat([HARD_IRON_SD**-2, 0.0], 3)), np.zeros(6)
     walked, drift = path_walked(x), config.odometry_of(survey.name)
     # A small turn of the axes, about each that drifts, is a change of the field across it.
     axes = np.eye(3)[2:] if config.is_gravity_aligned else np.eye(3)

@@ -19,8 +19,8 @@ from magmatch.data.frame_mistakes import MOUNT
 from magmatch.data.survey import Survey
 from magmatch.errors import in_short
 from magmatch.estimation.gauss_newton import student_weights
+from magmatch.estimation.model_prior import HARD_IRON_SD
 from magmatch.estimation.walk import bin_along_path, bin_means
-from magmatch.slam.sensor_bias import BIAS_SD
 
 log = logging.getLogger(__name__)
 
@@ -119,7 +119,7 @@ def _turn_between(one: _Passed, other: _Passed, length: float) -> float | None:
     turn = float(np.arctan2(free[1], free[0]))
     (before, s_before), (after, s_after) = _biases(axes, g - f), _biases(axes, g - np.exp(1j * turn) * f)
     # Bins within a length tell the same.
-    odds = BIN * len(here) * np.log(s_before / s_after) + (before @ before - after @ after) / (2 * BIAS_SD**2)
+    odds = BIN * len(here) * np.log(s_before / s_after) + (before @ before - after @ after) / (2 * HARD_IRON_SD**2)
     is_turned = abs(turn) >= np.radians(MOUNT) and s_after <= LEFT * s_before and odds >= LEAST_ODDS
     return -turn if is_turned else 0.0
 
@@ -127,8 +127,8 @@ def _turn_between(one: _Passed, other: _Passed, length: float) -> float | None:
 def _biases(A: np.ndarray, y: np.ndarray, n_free: int = 0) -> tuple[np.ndarray, float]:
     """Biases, after so many free unknowns, that explain complex numbers robustly; and the variance left, T^2."""
     A, b = np.concatenate([A.real, A.imag]), np.concatenate([y.real, y.imag])
-    prior = np.diag(np.arange(A.shape[1]) >= n_free) / BIAS_SD**2
-    w, s, x = np.ones(len(y)), BIAS_SD**2, np.zeros(A.shape[1])
+    prior = np.diag(np.arange(A.shape[1]) >= n_free) / HARD_IRON_SD**2
+    w, s, x = np.ones(len(y)), HARD_IRON_SD**2, np.zeros(A.shape[1])
     for _ in range(STEPS):
         AtW = A.T * np.tile(w, 2)
         x = np.linalg.lstsq(AtW @ A + s * prior, AtW @ b, rcond=None)[0]  # a vertical field tells no turn

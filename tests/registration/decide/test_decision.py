@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from hand_made import WeighedPose
 from magmatch.estimation.posterior import Answer, Posterior, needed_evidence
-from magmatch.registration.decide.decision import DecisionConfig, decide, in_words
+from magmatch.registration.decide.decision import DecisionConfig, decide, in_words, is_sharp
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.result import Status
 
@@ -75,6 +75,12 @@ def test_a_field_in_which_another_pose_could_match_is_not_blamed():
     poses = (WeighedPose(attainable=0.0, overlap=1.0), WeighedPose(log_evidence=20.0, attainable=300.0))
     posterior = Posterior(tuple(Answer.of([pose]) for pose in poses), (0.6, 0.0), 0.0, 0.4)
     assert decide(posterior, estimate_of(), LENGTH, CONFIG).status is Status.INCONSISTENT
+
+
+def test_a_pose_is_sharp_whose_heading_is_known_as_well_as_answers_are_told_apart():
+    for turn, expected in ((0.0799, True), (0.0801, False)):
+        assert is_sharp(estimate_of(shift=9.0, turn=turn).covariance) is expected
+    assert not is_sharp(None)
 
 
 @pytest.mark.parametrize(

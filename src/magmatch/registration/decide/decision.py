@@ -7,10 +7,11 @@ import numpy as np
 from pydantic import Field
 
 from magmatch.estimation.pose_prior import RARE
-from magmatch.estimation.posterior import RIGHT_WITHIN, Hypothesis, Posterior, needed_evidence
+from magmatch.estimation.posterior import RIGHT_WITHIN, Hypothesis, Posterior, needed_evidence, worst_sd
 from magmatch.registration.decide.estimate import Estimate
 from magmatch.registration.result import Status
 from magmatch.settings import Settings
+from magmatch.typing import Covariance6
 
 # Largest standard deviation of the target's position where none is asked for, in correlation lengths of the field.
 MAX_SD_IN_LENGTHS = 0.3
@@ -39,6 +40,11 @@ class DecisionConfig(Settings):
         """Within what two poses are one answer (m, rad): errors that count as right, and less than may be stated."""
         shift, turn = self.max_sd(length)
         return RIGHT_WITHIN * min(shift, MAX_SD_IN_LENGTHS * length), RIGHT_WITHIN * min(turn, SAME_SD_ROTATION)
+
+
+def is_sharp(covariance: Covariance6 | None) -> bool:
+    """Whether a pose is known as well as answers are told apart, so that another look is not needed."""
+    return covariance is not None and bool(worst_sd(covariance)[1] <= SAME_SD_ROTATION)
 
 
 @dataclass(frozen=True, slots=True)
