@@ -2,6 +2,7 @@
 """The order of the steps: what is decided is the most probable pose, and only that is settled."""
 
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from magmatch.estimation.pose_prior import PosePrior
 from magmatch.estimation.posterior import log_odds
 from magmatch.field.build import build_map
 from magmatch.field.config import FieldConfig
+from magmatch.registration import steps
 from magmatch.registration.clock import Clock
 from magmatch.registration.config import RegistrationConfig
 from magmatch.registration.decide.decision import DecisionConfig
@@ -93,6 +95,42 @@ def decided(ranked, elsewhere=-np.inf, strategy=None, config=None):
 
 def shifted(metres, **changes):
     return WeighedPose(RigidTransform.from_translation([metres, 0.0, 0.0]), **changes)
+
+
+class OneLook(HandMadeStrategy):
+    """Finds one pose in the only base."""
+
+    def __init__(self, pose, heading_sd):
+        super().__init__(np.diag([heading_sd**2] * 3 + [1e-4] * 3))
+        self.pose, self.target = pose, None
+        self.likely, self.pair, self.search = (lambda *_: ["base"]), (lambda *_: PAIR), (lambda _: FOUND)
+
+    def refine_and_weigh(self, *_):
+        return [self.pose]
+
+
+@pytest.mark.parametrize(
+    ("heading_sd", "found", "n_looks"),
+    [(0.01, 0.0, 1), (0.12, 0.0, 2), (0.2, 3.0, 2)],
+    ids=["known well", "another look is less likely", "not known well enough"],
+)
+def test_a_pose_ends_the_search_if_another_look_could_hardly_better_it(heading_sd, found, n_looks, monkeypatch):
+    first, second = shifted(0.0), shifted(3.0, log_evidence=100.0 if heading_sd < 0.2 else 300.0)
+    looks = iter([OneLook(first, heading_sd), OneLook(second, 0.01)])
+    bases = SimpleNamespace(
+        load=lambda _: None, name_of=lambda _: None, length_of=lambda _: 0.6, length=0.6, volume=1.0
+    )
+    for name, stub in (
+        ("map_base", lambda *given: given[:2]),
+        ("prepare_index", lambda base: base),
+        ("OneBase", lambda _: bases),
+        ("strategies", lambda *_: looks),
+    ):
+        monkeypatch.setattr(steps, name, stub)
+    answer = register_once(None, None, None, RegistrationConfig(), 0, Clock())[2]
+    assert answer.is_accepted
+    assert answer.T_base_target.translation[0] == 1.0 + found
+    assert len(list(looks)) == 2 - n_looks
 
 
 def test_a_probable_pose_is_settled_and_stated_so():
