@@ -22,8 +22,6 @@ from magmatch.registration.steps import Base, Outcome
 
 # Registers base, target and all its samples, at so much log prior odds more; None if that fails.
 Look = Callable[[Base, Survey, Survey, float], Outcome | None]
-# Variance of the offset beforehand, T^2: of two sensors' hard iron.
-VARIANCE = 2 * HARD_IRON_SD**2
 
 
 def with_vertical_offset(found: Outcome, look: Look) -> Outcome:
@@ -50,8 +48,9 @@ def with_vertical_offset(found: Outcome, look: Look) -> Outcome:
 
 
 def _log_prior(offset: float) -> float:
-    """The log prior of offsets as near this one (T) as the refinement looks for them, against those of any size."""
-    return float(np.log(BIAS_LEVELS[-1] / np.sqrt(VARIANCE)) - offset**2 / (2 * VARIANCE))
+    """Log prior of offsets as near this one (T) as the refinement looks for them: those of two sensors' hard iron."""
+    sd = np.sqrt(2) * HARD_IRON_SD
+    return float(np.log(BIAS_LEVELS[-1] / sd) - (offset / sd) ** 2 / 2)
 
 
 def _mean(survey: Survey) -> float:
