@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Level logs whose sensors differ by a constant along the vertical."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -44,9 +45,10 @@ def test_logs_of_one_place_are_connected_and_the_offset_is_stated(session):
     assert np.median(two.field[:, 2]) == pytest.approx(np.median(one.field[:, 2]), abs=1e-7)
 
 
-def test_a_log_that_is_added_later_is_connected_too(session):
+def test_a_log_that_is_added_later_is_connected_too_and_its_sensor_named(session, caplog):
     later = mm.slam(ONE)
     later.add_log(other()[0])
+    assert re.search(r"other.csv: its sensor differs by 1[45](\.\d)? uT along the vertical", caplog.text)
     assert later.components == [[0, 1]]
     assert error_of(later) < 1.2 * error_of(session)
 

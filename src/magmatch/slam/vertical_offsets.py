@@ -39,7 +39,8 @@ def with_vertical_offsets(closer: LoopCloser, look: Look, first: int = 0) -> Loo
         again = LoopCloser(places.without_vertical(mine, offset), closer.search.run)
         look(again, [again.places.paths[k] for k in mine])
         if len(np.unique(again.places.graph.frames())) < len(np.unique(frames)):
-            logger.info("%s: its vertical field differs by %s from the others'", path.survey.name, field_text(offset))
+            words = "%s: its sensor differs by %s along the vertical from those before it, which is taken out"
+            logger.warning(words, path.survey.name, field_text(offset))
             closer = again
     return closer
 
